@@ -1,0 +1,170 @@
+"""Axis-aligned bounding box trees of triangle meshes (step 6 of the paper).
+
+A tree over t triangles is an array of 2 t - 1 nodes in depth-first order: the left child of node i is i + 1, the right
+one `right[i]`; a leaf holds one triangle. The body's tree is built once; the garment's is built once and *refitted*
+(same nodes, new boxes) whenever the cloth has moved.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["AabbTree", "boxes_overlap", "build_tree", "overlapping_pairs", "refit_tree"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class AabbTree(NamedTuple):
+    """Nodes in depth-first order.
+
+    Attributes:
+        lower, upper: corners of the boxes [m], shape (2 t - 1, 3).
+        right: index of the right child, shape (2 t - 1,); 0 for a leaf.
+        triangle: the leaf's triangle, -1 for an inner node, shape (2 t - 1,).
+    """
+
+    lower: Floats
+    upper: Floats
+    right: Ints
+    triangle: Ints
+
+
+def build_tree(vertices: Floats, triangles: Ints) -> AabbTree:
+    """Build a balanced tree: every node is split at the median of its longest side.
+
+    Args:
+        vertices: positions [m], shape (n, 3).
+        triangles: corner indices, shape (t, 3), t may be 0.
+    """
+    centres = vertices[triangles].mean(axis=1) if len(triangles) else np.zeros((0, 3))
+    right, leaf = _split(np.ascontiguousarray(centres))
+    tree = AabbTree(np.zeros((len(leaf), 3)), np.zeros((len(leaf), 3)), right, leaf)
+    refit_tree(tree, np.ascontiguousarray(vertices), triangles, 0.0)
+    return tree
+
+
+@njit(cache=True, nogil=True)
+def _select(order: Ints, key: Floats, first: int, last: int, middle: int) -> None:
+    """Partially sort order[first:last] by (key, index) so that position `middle` holds what sorting would put there."""
+    low, high = first, last - 1
+    while low < high:
+        pivot = order[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while key[order[i]] < key[pivot] or (key[order[i]] == key[pivot] and order[i] < pivot):
+                i += 1
+            while key[order[j]] > key[pivot] or (key[order[j]] == key[pivot] and order[j] > pivot):
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            high = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@njit(cache=True, nogil=True)
+def _split(centres: Floats) -> tuple[Ints, Ints]:
+    count = centres.shape[0]
+    nodes = max(2 * count - 1, 0)
+    right = np.zeros(nodes, dtype=np.int32)
+    leaf = np.full(nodes, -1, dtype=np.int32)
+    order = np.arange(count).astype(np.int32)
+    keys = np.ascontiguousarray(centres.T)
+    stack = [(0, 0, count)]
+    while count > 0 and len(stack) > 0:
+        node, first, last = stack.pop()
+        if last - first == 1:
+            leaf[node] = order[first]
+            continue
+        longest, axis = -1.0, 0
+        for k in range(3):
+            low, high = np.inf, -np.inf
+            for i in range(first, last):
+                low = min(low, keys[k, order[i]])
+                high = max(high, keys[k, order[i]])
+            if high - low > longest:
+                longest, axis = high - low, k
+        middle = (first + last) // 2
+        _select(order, keys[axis], first, last, middle)
+        right[node] = node + 2 * (middle - first)
+        stack.append((right[node], middle, last))
+        stack.append((node + 1, first, middle))
+    return right, leaf
+
+
+@njit(cache=True, nogil=True)
+def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float) -> None:
+    """Recompute all boxes, each enlarged by margin [m] on every side; vertices (n, 3) [m], triangles (t, 3)."""
+    for node in range(tree.triangle.shape[0] - 1, -1, -1):
+        t = tree.triangle[node]
+        for k in range(3):
+            if t >= 0:
+                a, b, c = vertices[triangles[t, 0], k], vertices[triangles[t, 1], k], vertices[triangles[t, 2], k]
+                tree.lower[node, k] = min(a, min(b, c)) - margin
+                tree.upper[node, k] = max(a, max(b, c)) + margin
+            else:
+                left, right = node + 1, tree.right[node]
+                tree.lower[node, k] = min(tree.lower[left, k], tree.lower[right, k])
+                tree.upper[node, k] = max(tree.upper[left, k], tree.upper[right, k])
+
+
+@njit(cache=True, nogil=True, inline="always")
+def boxes_overlap(one: AabbTree, i: int, other: AabbTree, j: int) -> bool:
+    """Whether box i of one tree and box j of the other have a point in common."""
+    return bool(
+        one.lower[i, 0] <= other.upper[j, 0]
+        and other.lower[j, 0] <= one.upper[i, 0]
+        and one.lower[i, 1] <= other.upper[j, 1]
+        and other.lower[j, 1] <= one.upper[i, 1]
+        and one.lower[i, 2] <= other.upper[j, 2]
+        and other.lower[j, 2] <= one.upper[i, 2]
+    )
+
+
+@njit(cache=True, nogil=True)
+def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints) -> int:
+    """Double traversal: all (cloth triangle, body triangle) whose boxes overlap, in a fixed order.
+
+    The body's root is held against the cloth's tree; a branch ends where boxes are disjoint; at a cloth leaf the body's
+    tree is descended. At most len(pairs) are written to pairs (p, 2); the number found is returned.
+    """
+    found = 0
+    if body.triangle.shape[0] == 0 or cloth.triangle.shape[0] == 0:
+        return found
+    stack = [(0, 0)]
+    while len(stack) > 0:
+        c, b = stack.pop()
+        if not boxes_overlap(cloth, c, body, b):
+            continue
+        cloth_leaf, body_leaf = cloth.triangle[c] >= 0, body.triangle[b] >= 0
+        if cloth_leaf and body_leaf:
+            if found < pairs.shape[0]:
+                pairs[found, 0] = cloth.triangle[c]
+                pairs[found, 1] = body.triangle[b]
+            found += 1
+            continue
+        descend_cloth = body_leaf
+        if not cloth_leaf and not body_leaf:  # the larger box first: fewer pairs than one tree down to its leaves
+            cloth_size = 0.0
+            body_size = 0.0
+            for k in range(3):
+                cloth_size = max(cloth_size, cloth.upper[c, k] - cloth.lower[c, k])
+                body_size = max(body_size, body.upper[b, k] - body.lower[b, k])
+            descend_cloth = cloth_size >= body_size
+        if descend_cloth:
+            stack.append((cloth.right[c], b))
+            stack.append((c + 1, b))
+        else:
+            stack.append((c, body.right[b]))
+            stack.append((c, b + 1))
+    return found

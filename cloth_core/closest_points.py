@@ -1,0 +1,91 @@
+"""Closest points of point and triangle, and of two segments (Ericson, Real-Time Collision Detection, chapter 5)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["point_triangle", "segment_segment"]
+
+Floats = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True, inline="never")
+def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
+    """Squared distance [m^2] of p to triangle abc and the barycentric coordinates of its closest point; all (3,)."""
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    apx, apy, apz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    d1 = abx * apx + aby * apy + abz * apz
+    d2 = acx * apx + acy * apy + acz * apz
+    if d1 <= 0.0 and d2 <= 0.0:
+        return _squared(apx, apy, apz), 1.0, 0.0, 0.0
+    bpx, bpy, bpz = p[0] - b[0], p[1] - b[1], p[2] - b[2]
+    d3 = abx * bpx + aby * bpy + abz * bpz
+    d4 = acx * bpx + acy * bpy + acz * bpz
+    if d3 >= 0.0 and d4 <= d3:
+        return _squared(bpx, bpy, bpz), 0.0, 1.0, 0.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = d1 / (d1 - d3) if d1 - d3 > 0.0 else 0.0
+        return _squared(apx - t * abx, apy - t * aby, apz - t * abz), 1.0 - t, t, 0.0
+    cpx, cpy, cpz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
+    d5 = abx * cpx + aby * cpy + abz * cpz
+    d6 = acx * cpx + acy * cpy + acz * cpz
+    if d6 >= 0.0 and d5 <= d6:
+        return _squared(cpx, cpy, cpz), 0.0, 0.0, 1.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = d2 / (d2 - d6) if d2 - d6 > 0.0 else 0.0
+        return _squared(apx - t * acx, apy - t * acy, apz - t * acz), 1.0 - t, 0.0, t
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        t = (d4 - d3) / (d4 - d3 + d5 - d6) if d4 - d3 + d5 - d6 > 0.0 else 0.0
+        return (
+            _squared(bpx - t * (c[0] - b[0]), bpy - t * (c[1] - b[1]), bpz - t * (c[2] - b[2])),
+            0.0,
+            1.0 - t,
+            t,
+        )
+    whole = va + vb + vc
+    v, w = vb / whole, vc / whole
+    return _squared(apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz), 1.0 - v - w, v, w
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _squared(x: float, y: float, z: float) -> float:
+    return x * x + y * y + z * z
+
+
+@njit(cache=True, nogil=True, inline="never")
+def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
+    """Squared distance [m^2] of segments pq and ab and where the closest points lie (s along pq, t along ab); all (3,)."""
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    wx, wy, wz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    rx, ry, rz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    uu = ux * ux + uy * uy + uz * uz
+    ww = wx * wx + wy * wy + wz * wz
+    wr = wx * rx + wy * ry + wz * rz
+    ur = ux * rx + uy * ry + uz * rz
+    uw = ux * wx + uy * wy + uz * wz
+    if uu <= 0.0 and ww <= 0.0:
+        s, t = 0.0, 0.0
+    elif uu <= 0.0:
+        s, t = 0.0, min(max(wr / ww, 0.0), 1.0)
+    elif ww <= 0.0:
+        s, t = min(max(-ur / uu, 0.0), 1.0), 0.0
+    else:
+        whole = uu * ww - uw * uw
+        s = min(max((uw * wr - ur * ww) / whole, 0.0), 1.0) if whole > 1e-12 * uu * ww else 0.0
+        t = (uw * s + wr) / ww
+        if t < 0.0:
+            t = 0.0
+            s = min(max(-ur / uu, 0.0), 1.0)
+        elif t > 1.0:
+            t = 1.0
+            s = min(max((uw - ur) / uu, 0.0), 1.0)
+    dx = rx + s * ux - t * wx
+    dy = ry + s * uy - t * wy
+    dz = rz + s * uz - t * wz
+    return dx * dx + dy * dy + dz * dz, s, t

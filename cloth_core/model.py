@@ -1,0 +1,277 @@
+"""The arrays and the terms that a scene needs, and no others; and the time step that they allow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cloth_core.bending import Bending, bending_forces, build_bending
+from cloth_core.contact import BodyContact
+from cloth_core.errors import SceneError
+from cloth_core.garment import Garment, Seam, merged_numbers
+from cloth_core.scene import Scene
+from cloth_core.sewing import SeamPull, build_seam_pull
+from cloth_core.springs import SpringFamily, Springs, build_springs
+from cloth_core.stability import StableStep, stable_time_step
+from cloth_core.step import ContactSettings, ForceTerms
+
+__all__ = ["Model", "Term"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# Longest step where nothing stiff limits it [s]: gravity and contact are still sampled often enough.
+_LONGEST_STEP = 1.0 / 480.0
+
+
+@dataclass(frozen=True)
+class Term:
+    """One physical effect of a model.
+
+    Attributes:
+        name: for reports.
+        active: whether the model has it.
+        reason: why it is there or not.
+        elements: how many springs, seams, triangles, ... it runs over.
+    """
+
+    name: str
+    active: bool
+    reason: str
+    elements: int
+
+
+class Model:
+    """A scene made ready to run.
+
+    Args:
+        scene: what is simulated.
+        closed: the seams that are merged; the others stay open (and are pulled together while `sewing`).
+        sewing: whether open seams pull, and gravity waits until they have closed.
+
+    Attributes:
+        number: model particle of each unsewn particle, shape (n,).
+        mass, inverse_mass: [kg, 1/kg], shape (k,).
+        triangles: in model particles, shape (m, 3).
+        springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
+        terms: all terms, with the reason why each is there or not.
+    """
+
+    def __init__(self, scene: Scene, closed: tuple[Seam, ...] = (), sewing: bool = False) -> None:
+        garment, fabric = scene.garment, scene.fabric
+        self.scene = scene
+        self.sewing = sewing
+        self.number = merged_numbers(garment.particle_count, closed)
+        self.particle_count = int(self.number.max()) + 1
+        self.triangles = np.asarray(self.number[garment.triangles], dtype=np.int32)
+        self.mass = np.bincount(
+            self.triangles.ravel(),
+            weights=np.repeat(garment.areas * fabric.area_density / 3.0, 3),
+            minlength=self.particle_count,
+        )
+        if (self.mass <= 0.0).any():
+            bad = int(np.flatnonzero(self.number == np.flatnonzero(self.mass <= 0.0)[0])[0])
+            where = garment.panel_names[garment.panel_of_particle[bad]]
+            raise SceneError(f"panel '{where}', particle {bad}: has no cloth around it and no mass; mend the pattern")
+        self.inverse_mass = 1.0 / self.mass
+        self.inverse_mass[self.number[scene.pins]] = 0.0
+        self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
+        self.bending: Bending | None = (
+            build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
+        )
+        self.seam_pull: SeamPull | None = (
+            build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
+        )
+        self.contact: BodyContact | None = (
+            BodyContact(scene.body, self.triangles, self.particle_count, scene.settings.contact_offset)
+            if scene.body is not None
+            else None
+        )
+        self.terms = self._terms(closed)
+
+    # -- arrays for the compiled loop ----------------------------------------------------------------------------------
+
+    def force_terms(self, air_drag: float) -> ForceTerms:
+        """The force terms' arrays; air_drag k_a [1/s] is the scene's, or more while a run only looks for rest."""
+        bend = self.bending if self.bending is not None else _NO_BENDING
+        gravity = np.zeros(3) if self.sewing else np.array(self.scene.gravity)
+        return ForceTerms(
+            mass=self.mass,
+            inverse_mass=self.inverse_mass,
+            gravity=gravity,
+            air_drag=float(air_drag),
+            spring_pairs=self.springs.pairs,
+            spring_rest_length=self.springs.rest_length,
+            spring_stiffness=self.springs.stiffness,
+            spring_damping_time=self.scene.fabric.damping_time,
+            lines=bend.lines,
+            line_stiffness=bend.line_stiffness,
+            hinges=bend.hinges,
+            hinge_weights=bend.hinge_weights,
+            hinge_stiffness=bend.hinge_stiffness,
+            bending_damping_time=self.scene.fabric.bending_damping_time,
+            seam=self.seam_pull if self.seam_pull is not None else _NO_SEAMS,
+        )
+
+    def contact_settings(self) -> ContactSettings:
+        """The contact term's constants; cloth slides freely while it is sewn."""
+        if self.contact is None:
+            return ContactSettings(False, np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32), 0.0, 0.0, 0.0, 0.0)
+        return ContactSettings(
+            active=True,
+            body_vertices=self.contact.body.vertices,
+            body_triangles=self.contact.body.triangles,
+            offset=self.contact.offset,
+            side_offset=self.contact.side_offset,
+            friction=0.0 if self.sewing else self.scene.fabric.friction,
+            push_speed=self.scene.settings.push_speed,
+        )
+
+    # -- states --------------------------------------------------------------------------------------------------------
+
+    def gather(self, unsewn: Floats, weights: Floats) -> Floats:
+        """Weighted mean over the unsewn particles that each model particle stands for; (n, 3), (n,) -> (k, 3)."""
+        total = np.bincount(self.number, weights=weights, minlength=self.particle_count)
+        return np.stack(
+            [
+                np.bincount(self.number, weights=weights * unsewn[:, axis], minlength=self.particle_count) / total
+                for axis in range(3)
+            ],
+            axis=1,
+        )
+
+    # -- stability -----------------------------------------------------------------------------------------------------
+
+    def stable_step(self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 2e-3) -> StableStep:
+        """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
+        still = np.zeros_like(x)
+        terms = self.force_terms(air_drag)
+        tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
+        springs, bends, seams = (np.zeros_like(x) for _ in range(3))
+
+        def parts(u: Floats) -> None:
+            for out in (springs, bends, seams):
+                out[:] = 0.0
+            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self.springs.stiffness, springs)
+            if self.bending is not None:
+                bending_forces(
+                    np.ascontiguousarray(u), still, terms.lines, terms.line_stiffness, terms.hinges,
+                    terms.hinge_weights, terms.hinge_stiffness, 0.0, bends,
+                )  # fmt: skip
+            if self.seam_pull is not None:
+                _pair_laplacian(u, self.seam_pull.pairs, seams)
+
+        def stiffness(u: Floats) -> Floats:
+            parts(u)
+            seam = self.seam_pull.stiffness * seams if self.seam_pull is not None else 0.0
+            return np.asarray(springs - bends + seam)
+
+        def damping(u: Floats) -> Floats:
+            parts(u)
+            seam = self.seam_pull.damping * seams if self.seam_pull is not None else 0.0
+            return np.asarray(tau * springs - bending_tau * bends + seam + air_drag * self.mass[:, None] * u)
+
+        return stable_time_step(stiffness, damping, self.inverse_mass, mode, tolerance)
+
+    def longest_step(self, stable: StableStep) -> float:
+        """Time step [s] to use: the settings' share of the stable one, and no longer than is sensible without one."""
+        return min(self.scene.settings.safety * stable.time_step, _LONGEST_STEP)
+
+    # -- what is modelled, and why -------------------------------------------------------------------------------------
+
+    def _terms(self, closed: tuple[Seam, ...]) -> tuple[Term, ...]:
+        scene, fabric = self.scene, self.scene.fabric
+        count = {family: int((self.springs.family == family).sum()) for family in SpringFamily}
+        heavy = any(scene.gravity)
+        seams = scene.garment.seams
+        open_seams = len(seams) - len(closed)
+        free = self.particle_count - len(np.unique(self.number[scene.pins]))
+        bending = len(self.bending) if self.bending is not None else 0
+        body = len(scene.body.triangles) if scene.body is not None else 0
+
+        def term(name: str, active: bool, elements: int, why: str, why_not: str) -> Term:
+            return Term(name, active, why if active else why_not, elements if active else 0)
+
+        return (
+            term("gravity", heavy, free, f"{-scene.gravity[2]:g} m/s^2, once the seams are closed", "gravity is 0"),
+            term("air drag", scene.air_drag > 0.0, free, f"k_a = {scene.air_drag:g} 1/s", "k_a is 0: nothing to drag"),
+            term(
+                "structural springs", True, count[SpringFamily.STRUCTURAL],
+                f"{fabric.structural_warp:g} N/m along warp, {fabric.structural_weft:g} N/m along weft", "",
+            ),
+            term(
+                "shear springs", fabric.shear > 0.0, count[SpringFamily.SHEAR],
+                f"{fabric.shear:g} N/m", "the fabric has no shear stiffness",
+            ),
+            term(
+                "bending springs", fabric.bending_spring > 0.0, count[SpringFamily.BENDING],
+                f"{fabric.bending_spring:g} N/m, the paper's third family", "the fabric has none",
+            ),
+            term(
+                "bending", self.bending is not None, bending,
+                f"{fabric.bending:g} N m", "the fabric has no bending stiffness",
+            ),
+            term(
+                "spring damping", fabric.damping_time > 0.0, len(self.springs),
+                f"{fabric.damping_time:g} s", "the fabric has none",
+            ),
+            term("pins", len(scene.pins) > 0, len(scene.pins), "held where they start", "no particle is pinned"),
+            term(
+                "seams", bool(seams), len(seams),
+                f"{open_seams} to close, {len(closed)} merged", "the pattern has no stitches",
+            ),
+            term(
+                "body contact", body > 0, body,
+                f"offset {1000 * scene.settings.contact_offset:g} mm, no pass-through", "there is no body",
+            ),
+            term(
+                "friction", body > 0 and fabric.friction > 0.0, body,
+                f"Coulomb, {fabric.friction:g}, once the seams are closed", "no body or no friction",
+            ),
+            term(
+                "self contact", False, 0, "", "not modelled: cloth does not collide with cloth; crossings are counted",
+            ),
+        )  # fmt: skip
+
+
+_NO_BENDING = Bending(
+    np.zeros((0, 3), dtype=np.int32), np.zeros(0), np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros(0)
+)
+_NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), 0.0, 0.0, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _spring_stiffness(x: Floats, u: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats, out: Floats) -> None:
+    """Add K u of all springs at x: k d d' along each spring and, where it is stretched, k (1 - L0 / L) across it."""
+    for s in range(pairs.shape[0]):
+        i, j = pairs[s, 0], pairs[s, 1]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared < 1e-24:
+            continue
+        ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
+        across = max(1.0 - rest_length[s] / np.sqrt(squared), 0.0)
+        along = (1.0 - across) * (dx * ux + dy * uy + dz * uz) / squared
+        fx = stiffness[s] * (across * ux + along * dx)
+        fy = stiffness[s] * (across * uy + along * dy)
+        fz = stiffness[s] * (across * uz + along * dz)
+        out[i, 0] -= fx
+        out[i, 1] -= fy
+        out[i, 2] -= fz
+        out[j, 0] += fx
+        out[j, 1] += fy
+        out[j, 2] += fz
+
+
+@njit(cache=True, nogil=True)
+def _pair_laplacian(u: Floats, pairs: Ints, out: Floats) -> None:
+    """Add the graph Laplacian of the pairs: an upper bound for a pull in any direction; u, out (k, 3)."""
+    for s in range(pairs.shape[0]):
+        i, j = pairs[s, 0], pairs[s, 1]
+        for axis in range(3):
+            difference = u[j, axis] - u[i, axis]
+            out[i, axis] -= difference
+            out[j, axis] += difference

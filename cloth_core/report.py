@@ -1,0 +1,80 @@
+"""What a run did: the numbers that everything else quotes."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+__all__ = ["Report"]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Result of a run, SI units.
+
+    Attributes:
+        garment, body, fabric: names.
+        particles: of the garment as it is now (merged at closed seams).
+        triangles, springs: counts.
+        terms: name -> {"active", "reason", "elements", "microseconds_per_step"}.
+        time_step: last one used [s]; stable_time_step: the largest stable one at the end [s].
+        steps: done; simulated_time: [s]; wall_time: [s], compilation included.
+        settled: whether it is at rest; rest_reason: by which criterion, or why it ended without rest.
+        max_strain: largest extension of a structural spring; mean_strain: mean magnitude over all of them.
+        max_shear_strain: largest extension of a shear spring.
+        strain_limit: of the fabric; a larger max_strain gives a warning.
+        max_seam_gap: largest distance of two points to be sewn [m]; open_seams: those above the tolerance, with gap [m].
+        body_intersections: cloth sides that cross a body triangle.
+        self_intersections: cloth sides that cross a cloth triangle.
+        max_penetration: depth of the deepest particle inside the body [m]; 0 if none is.
+        contact_searches: how often contacts were searched.
+        warnings: one line each.
+        state_sha256: hash of the final positions and velocities.
+    """
+
+    garment: str
+    body: str | None
+    fabric: str
+    particles: int
+    triangles: int
+    springs: int
+    terms: dict[str, dict[str, Any]]
+    time_step: float
+    stable_time_step: float
+    steps: int
+    simulated_time: float
+    wall_time: float
+    settled: bool
+    rest_reason: str
+    max_strain: float
+    mean_strain: float
+    max_shear_strain: float
+    strain_limit: float
+    max_seam_gap: float
+    open_seams: dict[str, float]
+    body_intersections: int
+    self_intersections: int
+    max_penetration: float
+    contact_searches: int
+    warnings: tuple[str, ...] = field(default=())
+    state_sha256: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """All values as JSON types; a number that is not finite becomes null."""
+        return {key: _plain(value) for key, value in asdict(self).items()}
+
+    def to_json(self) -> str:
+        """Indented JSON text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return value

@@ -1,0 +1,125 @@
+"""What is simulated, as plain data: garments, fabric, body, pins, gravity, air, settings. Nothing here runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.body import Body
+from cloth_core.errors import SceneError
+from cloth_core.fabric import Fabric
+from cloth_core.garment import Garment
+from cloth_core.pattern import Pattern
+from cloth_core.placement import clear_of_body
+from cloth_core.quality import Settings, settings_for
+
+__all__ = ["Scene"]
+
+STANDARD_GRAVITY = 9.80665  # m/s^2
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A garment in its surroundings.
+
+    Attributes:
+        garment: particles, triangles and seams; its start positions are clear of the body.
+        fabric: what it is made of.
+        body: what it collides with, or None.
+        pins: particles (unsewn numbering) that are held where they start, shape (p,).
+        gravity: [m/s^2], shape (3,).
+        air_drag: k_a [1/s].
+        settings: spacing, time step, contact, rest.
+        warnings: one line each.
+    """
+
+    garment: Garment
+    fabric: Fabric
+    body: Body | None = None
+    pins: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
+    air_drag: float = 1.0
+    settings: Settings = field(default_factory=Settings)
+
+    def __post_init__(self) -> None:
+        if len(self.gravity) != 3 or not all(math.isfinite(g) for g in self.gravity):
+            raise SceneError(f"gravity: {self.gravity!r} is not three finite numbers; give m/s^2, z up")
+        if not (math.isfinite(self.air_drag) and self.air_drag >= 0.0):
+            raise SceneError(f"air drag: {self.air_drag!r} is not a number of at least 0; give it in 1/s")
+        pins = np.asarray(self.pins)
+        if pins.size and (pins.min() < 0 or pins.max() >= self.garment.particle_count):
+            raise SceneError(
+                f"pins: particle {int(pins.max())} does not exist, there are {self.garment.particle_count}"
+            )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before the run, one line each."""
+        return (self.body.warnings if self.body else ()) + self.garment.warnings
+
+    @classmethod
+    def build(
+        cls,
+        patterns: Pattern | Sequence[Pattern],
+        body: Body | None = None,
+        fabric: Fabric | None = None,
+        *,
+        quality: str = "normal",
+        tolerance: float | None = None,
+        settings: Settings | None = None,
+        gravity: float = STANDARD_GRAVITY,
+        air_drag: float = 1.0,
+        pins: Sequence[int] = (),
+    ) -> Scene:
+        """Discretise patterns and put them around a body.
+
+        Args:
+            patterns: one or several; several become one scene with all their panels.
+            body: what they are draped on.
+            fabric: cotton poplin if none is given.
+            quality: draft, normal or fine; ignored when settings are given.
+            tolerance: largest error [m]; ignored when settings are given.
+            settings: all numerical settings by hand.
+            gravity: downward [m/s^2].
+            air_drag: k_a [1/s].
+            pins: particles that are held, unsewn numbering.
+
+        Raises:
+            ClothError: anything that does not fit together.
+        """
+        chosen = settings_for(quality, tolerance) if settings is None else settings
+        one = [patterns] if isinstance(patterns, Pattern) else list(patterns)
+        if not one:
+            raise SceneError("scene: there is no pattern; give at least one")
+        garment = Garment.joined([Garment.from_pattern(p, chosen.spacing) for p in one])
+        if body is not None:
+            _check_scale(garment, body)
+            garment = clear_of_body(garment, body, chosen.contact_offset)
+        return cls(
+            garment=garment,
+            fabric=Fabric.preset("cotton_poplin") if fabric is None else fabric,
+            body=body,
+            pins=np.unique(np.asarray(pins, dtype=np.int32)),
+            gravity=(0.0, 0.0, -gravity),
+            air_drag=air_drag,
+            settings=chosen,
+        )
+
+
+def _check_scale(garment: Garment, body: Body) -> None:
+    """Refuse a garment and a body of which one was probably given in another unit."""
+    size = float(np.ptp(garment.start, axis=0).max())
+    body_size = float(np.ptp(body.vertices, axis=0).max())
+    ratio = size / body_size
+    if 1.0 / 30.0 < ratio < 30.0:
+        return
+    too_large, factor = ("garment", ratio) if ratio > 1.0 else (f"body '{body.name}'", 1.0 / ratio)
+    unit = "millimetres" if factor > 300.0 else "centimetres"
+    raise SceneError(
+        f"scale: the garment is {size:.3g} m and body '{body.name}' {body_size:.3g} m large; "
+        f"the {too_large} was probably given in {unit} and taken for metres; convert it"
+    )

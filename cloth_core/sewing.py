@@ -1,0 +1,94 @@
+"""Step 7 of the paper: seams pull the flat panels together around the body, step by step.
+
+Each pair of seam points is joined by a spring whose length shrinks from the start distance to nothing within the
+closing time; its force is limited, so that a seam that the body holds open pulls without tearing. When a seam has
+closed, its pairs become one particle each.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cloth_core.fabric import Fabric
+from cloth_core.garment import Garment
+
+__all__ = ["SeamPull", "build_seam_pull", "seam_forces", "seam_gaps"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class SeamPull(NamedTuple):
+    """Springs that close the seams.
+
+    Attributes:
+        pairs: particles to join, (p, 2).
+        start_length: their distance at the start [m], (p,).
+        stiffness: [N/m]; damping: [N s/m]; largest_force: [N].
+    """
+
+    pairs: Ints
+    start_length: Floats
+    stiffness: float
+    damping: float
+    largest_force: float
+
+
+def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats) -> SeamPull:
+    """Seam springs of a garment at positions x (n, 3) [m].
+
+    They are as stiff as the cloth itself, so that they do not shorten the time step, and pull at most as hard as a
+    stretch of the fabric by its strain limit would.
+    """
+    if garment.seams:
+        both = np.concatenate([np.stack([s.first, s.second], 1) for s in garment.seams])
+        pairs = np.unique(np.sort(both[both[:, 0] != both[:, 1]], axis=1), axis=0).astype(np.int32)
+    else:
+        pairs = np.zeros((0, 2), dtype=np.int32)
+    structural = 0.5 * (fabric.structural_warp + fabric.structural_weft)
+    return SeamPull(
+        pairs=pairs,
+        start_length=np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1),
+        stiffness=0.5 * structural,
+        damping=0.5 * structural * fabric.damping_time,
+        largest_force=max(fabric.strain_limit, 0.05) * structural * garment.spacing,
+    )
+
+
+@njit(cache=True, nogil=True)
+def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Floats) -> None:
+    """Pull both ends of each pair to openness * start_length; x, v, force (n, 3) [m, m/s, N]."""
+    for s in range(seam.pairs.shape[0]):
+        i, j = seam.pairs[s, 0], seam.pairs[s, 1]
+        dx = x[j, 0] - x[i, 0]
+        dy = x[j, 1] - x[i, 1]
+        dz = x[j, 2] - x[i, 2]
+        ux = v[j, 0] - v[i, 0]
+        uy = v[j, 1] - v[i, 1]
+        uz = v[j, 2] - v[i, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        share = seam.stiffness
+        if openness > 0.0:
+            excess = length - openness * seam.start_length[s]
+            share = seam.stiffness * max(excess, 0.0) / length if length > 0.0 else 0.0
+        pull = share * length
+        if pull > seam.largest_force:
+            share *= seam.largest_force / pull
+        fx = share * dx + seam.damping * ux
+        fy = share * dy + seam.damping * uy
+        fz = share * dz + seam.damping * uz
+        force[i, 0] += fx
+        force[i, 1] += fy
+        force[i, 2] += fz
+        force[j, 0] -= fx
+        force[j, 1] -= fy
+        force[j, 2] -= fz
+
+
+def seam_gaps(garment: Garment, x: Floats) -> dict[str, float]:
+    """Largest distance [m] of the points to be joined, for each seam; x (n, 3) in the unsewn numbering."""
+    return {s.name: float(np.linalg.norm(x[s.first] - x[s.second], axis=1).max()) for s in garment.seams}

@@ -1,0 +1,438 @@
+"""Runs a scene: `advance` for motion, `settle` for the drape, `tick` for those who drive it themselves."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.contact import ContactPairs, no_contact_pairs
+from cloth_core.errors import SimulationError
+from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.model import Model
+from cloth_core.report import Report
+from cloth_core.scene import Scene
+from cloth_core.sewing import seam_gaps
+from cloth_core.springs import SpringFamily, spring_strains
+from cloth_core.stability import StableStep
+from cloth_core.step import run_steps
+from cloth_core.term_cost import term_costs
+
+__all__ = ["Progress", "Simulation"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+OnTick = Callable[["Simulation"], "bool | None"]
+
+SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
+
+_TICK_STEPS = 32
+# Simulated time between two checks of the stable time step [s].
+_CHECK_INTERVAL = 1.0 / 60.0
+# Steps that a particle at the largest speed can travel before contacts are searched again, and the limits of it [m].
+_STEPS_PER_SEARCH = 60
+_LEAST_REACH, _MOST_REACH = 0.001, 0.02
+# Cloth faster than this has left physics [m/s].
+_HIGHEST_SPEED = 1000.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands.
+
+    Attributes:
+        phase: sewing, draping, rest or failed.
+        simulated_time: [s].
+        speed: simulated seconds per wall-clock second, over the last ticks.
+        largest_speed: of any particle [m/s].
+        estimated_rest_time: simulated time at which rest is expected [s], or None.
+    """
+
+    phase: str
+    simulated_time: float
+    speed: float
+    largest_speed: float
+    estimated_rest_time: float | None
+
+
+class Simulation:
+    """A scene in motion.
+
+    Args:
+        scene: what is simulated.
+
+    Raises:
+        ClothError: the scene cannot be made into a model.
+
+    Attributes:
+        scene: as given.
+        model: the terms at present; replaced when the seams have closed.
+        phase: "sewing", "draping", "rest" or "failed".
+        time: simulated [s].
+        steps: done so far.
+        settled: whether the cloth is at rest by the settings' criterion.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._wall = 0.0
+        began = time.perf_counter()
+        self.time = 0.0
+        self.steps = 0
+        self.settled = False
+        self._searches = 0
+        self._warnings: list[str] = []
+        self._seeking_rest = False
+        self._open_seams: dict[str, float] = {}
+        self._speed = 0.0
+        self._use(Model(scene, sewing=bool(scene.garment.seams)), scene.garment.start, np.zeros((scene.garment.particle_count, 3)))
+        self.phase = SEWING if scene.garment.seams else DRAPING
+        self._wall += time.perf_counter() - began
+
+    # -- what others read ----------------------------------------------------------------------------------------------
+
+    @property
+    def triangles(self) -> Ints:
+        """Corner indices into `positions`, shape (m, 3); the same for the whole run."""
+        return self.scene.garment.triangles
+
+    @property
+    def positions(self) -> Floats:
+        """One row for each particle of each panel [m], shape (n, 3); sewn ones coincide."""
+        return np.asarray(self._x[self.model.number])
+
+    def sewn_mesh(self) -> tuple[Floats, Ints]:
+        """Positions [m] with closed seams merged, shape (k, 3), and triangles (m, 3)."""
+        return self._x.copy(), self.model.triangles.copy()
+
+    @property
+    def progress(self) -> Progress:
+        """Where the run stands."""
+        return Progress(self.phase, self.time, self._speed, self._largest_speed(), self._rest_estimate())
+
+    @property
+    def time_step(self) -> float:
+        """Time step in use [s]."""
+        return self._dt
+
+    @property
+    def stable(self) -> StableStep:
+        """Last estimate of the largest stable time step."""
+        return self._stable
+
+    # -- running -------------------------------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Do a fixed small number of steps; compiled code releases the GIL meanwhile.
+
+        Raises:
+            SimulationError: the state would no longer be finite; the last good one is kept.
+        """
+        self._run(_TICK_STEPS)
+
+    def advance(self, duration: float, on_tick: OnTick | None = None) -> None:
+        """Simulate `duration` [s] of physical time; on_tick may return True to stop.
+
+        Raises:
+            SimulationError: as in tick.
+        """
+        if not (math.isfinite(duration) and duration >= 0.0):
+            raise SimulationError(f"advance: {duration!r} s is not a duration; give a number of seconds")
+        end = self.time + duration
+        while self.time < end - 1e-12:
+            left = math.ceil((end - self.time) / self._dt - 1e-9)
+            self._run(min(_TICK_STEPS, left), last_time=end)
+            if on_tick is not None and on_tick(self):
+                return
+
+    def settle(self, on_tick: OnTick | None = None) -> Report:
+        """Run until the cloth lies still (paper, step 5); on_tick may return True to stop early.
+
+        At rest means that within `rest_window` no particle has moved by more than `rest_displacement`.
+        Extra air drag (`settle_drag`) calms the swinging; the resting shape does not depend on it.
+        """
+        self._seeking_rest = True
+        self._refresh_time_step()
+        reason = "stopped before it came to rest"
+        while True:
+            if self.settled:
+                s = self.scene.settings
+                reason = f"no particle moved by more than {1000 * s.rest_displacement:g} mm in {s.rest_window:g} s"
+                break
+            if self.time >= self.scene.settings.max_time:
+                reason = f"not at rest after {self.time:.3g} s, the longest time that the settings allow"
+                break
+            unsupported = self._unsupported()
+            if unsupported:
+                reason = unsupported
+                break
+            self.tick()
+            if on_tick is not None and on_tick(self):
+                break
+        self._seeking_rest = False
+        return self.report(reason)
+
+    def reset(self) -> None:
+        """Back to the start, with all seams open."""
+        self.__init__(self.scene)  # type: ignore[misc]
+
+    def _run(self, count: int, last_time: float = math.inf) -> None:
+        began = time.perf_counter()
+        before = self.time
+        good_x, good_v = self._x.copy(), self._v.copy()
+        done = 0
+        dt = self._dt if last_time == math.inf else min(self._dt, (last_time - self.time) / count)
+        settings = self.scene.settings
+        while done < count:
+            openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
+            did = run_steps(
+                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._pairs, dt,
+                count - done, openness, 1.0 / settings.closing_time,
+            )  # fmt: skip
+            done += did
+            self.time += did * dt
+            if done < count and self.model.contact is not None:
+                self._check_finite(good_x, good_v)
+                self._search_contacts()
+        self._check_finite(good_x, good_v)
+        self.steps += done
+        if self.model.contact is not None and self._contacts_spent():
+            self._search_contacts()
+        if self.phase == SEWING:
+            self._sew()
+        elif self.time >= self._window_end:
+            self._check_rest()
+        if self.time >= self._next_check:
+            self._refresh_time_step()
+        wall = time.perf_counter() - began
+        self._wall += wall
+        if wall > 0.0:
+            self._speed += 0.1 * ((self.time - before) / wall - self._speed)
+
+    # -- parts of a run ------------------------------------------------------------------------------------------------
+
+    def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
+        """Take over a model and bring the state into its numbering, keeping momentum."""
+        self.model = model
+        garment = self.scene.garment
+        weight = np.bincount(
+            garment.triangles.ravel(), weights=np.repeat(garment.areas, 3), minlength=garment.particle_count
+        )
+        self._x = model.gather(unsewn_x, weight)
+        self._v = model.gather(unsewn_v, weight)
+        self._v[model.inverse_mass == 0.0] = 0.0
+        self._force = np.zeros_like(self._x)
+        self._moved = np.zeros(len(self._x))
+        self._contact_settings = model.contact_settings()
+        self._stable = model.stable_step(self._x, self._air_drag())
+        self._pairs: ContactPairs = no_contact_pairs()
+        self._refresh_time_step(estimate=False)
+        if model.contact is not None:
+            self._search_contacts()
+        self._open_window()
+
+    def _air_drag(self) -> float:
+        extra = self.scene.settings.settle_drag if self._seeking_rest or self.model.sewing else 0.0
+        return max(self.scene.air_drag, extra)
+
+    def _refresh_time_step(self, estimate: bool = True) -> None:
+        drag = self._air_drag()
+        if estimate:
+            self._stable = self.model.stable_step(self._x, drag, self._stable.mode, tolerance=1e-2)
+        self._terms = self.model.force_terms(drag)
+        longest = self.model.longest_step(self._stable)
+        wanted = self.scene.settings.time_step
+        if wanted is None:
+            self._dt = longest
+        else:
+            self._dt = wanted / math.ceil(wanted / longest - 1e-9)
+            if self._dt < wanted and not any(w.startswith("time step") for w in self._warnings):
+                self._warnings.append(
+                    f"time step {wanted:g} s: longer than the stable {longest:g} s; cut into sub-steps"
+                )
+        self._next_check = self.time + _CHECK_INTERVAL
+
+    def _search_contacts(self) -> None:
+        assert self.model.contact is not None
+        reach = min(max(_STEPS_PER_SEARCH * self._dt * self._largest_speed(), _LEAST_REACH), _MOST_REACH)
+        self._pairs = self.model.contact.search(self._x, reach)
+        self._searches += 1
+
+    def _contacts_spent(self) -> bool:
+        return bool((self._moved > 0.8 * self._pairs.travel).any())
+
+    def _largest_speed(self) -> float:
+        return float(np.sqrt((self._v**2).sum(axis=1).max()))
+
+    def _check_finite(self, good_x: Floats, good_v: Floats) -> None:
+        bad = ~(np.isfinite(self._x).all(axis=1) & (np.abs(self._v) < _HIGHEST_SPEED).all(axis=1))
+        if not bad.any():
+            return
+        particle = int(np.flatnonzero(bad)[0])
+        self._x, self._v = good_x, good_v
+        self.phase = FAILED
+        original = int(np.flatnonzero(self.model.number == particle)[0])
+        panel = self.scene.garment.panel_names[self.scene.garment.panel_of_particle[original]]
+        raise SimulationError(
+            f"particle {original} of panel '{panel}': left all bounds at {self.time:.4f} s with a time step of "
+            f"{self._dt:.3g} s; use a smaller time step or safety factor"
+        )
+
+    def _sew(self) -> None:
+        """Merge the seams once all are closed, or the time for sewing is over."""
+        settings = self.scene.settings
+        if self.time < settings.closing_time:
+            return
+        gaps = seam_gaps(self.scene.garment, self.positions)
+        closed = {name for name, gap in gaps.items() if gap <= settings.seam_tolerance}
+        if len(closed) < len(gaps) and self.time < settings.sewing_time:
+            return
+        self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
+        for name, gap in self._open_seams.items():
+            self._warnings.append(f"seam {name}: still {1000 * gap:.1f} mm open after {self.time:.2g} s; it stays open")
+        positions, velocities = self.positions, np.asarray(self._v[self.model.number])
+        merged = tuple(s for s in self.scene.garment.seams if s.name in closed)
+        self.phase = DRAPING
+        self._use(Model(self.scene, closed=merged), positions, velocities)
+
+    def _open_window(self) -> None:
+        self._window_x = self._x.copy()
+        self._window_end = self.time + self.scene.settings.rest_window
+        self._window_movement: float | None = None
+
+    def _check_rest(self) -> None:
+        settings = self.scene.settings
+        movement = float(np.sqrt(((self._x - self._window_x) ** 2).sum(axis=1).max()))
+        speed_limit = 2.0 * settings.rest_displacement / settings.rest_window
+        self.settled = movement <= settings.rest_displacement and self._largest_speed() <= speed_limit
+        if self.settled:
+            self.phase = REST
+        elif self.phase == REST:
+            self.phase = DRAPING
+        last = self._window_movement
+        self._open_window()
+        self._window_movement = movement
+        self._movement_ratio = movement / last if last else None
+
+    _movement_ratio: float | None = None
+
+    def _rest_estimate(self) -> float | None:
+        """Rest time if the movement per window goes on shrinking at the present rate."""
+        movement, ratio = self._window_movement, self._movement_ratio
+        if self.settled:
+            return self.time
+        if movement is None or ratio is None or not 0.0 < ratio < 0.99:
+            return None
+        settings = self.scene.settings
+        windows = math.log(max(settings.rest_displacement / movement, 1e-9)) / math.log(ratio)
+        return self.time + max(windows, 1.0) * settings.rest_window
+
+    def _unsupported(self) -> str | None:
+        scene = self.scene
+        if self.phase == SEWING or not any(scene.gravity):
+            return None
+        if scene.body is None and len(scene.pins) == 0:
+            return "nothing supports the garment: there is neither a body nor a pin"
+        if scene.body is not None and len(scene.pins) == 0:
+            lowest = float(scene.body.vertices[:, 2].min())
+            if float(self._x[:, 2].max()) < lowest - 0.05:
+                return "not supported by the body: it has fallen past it"
+        return None
+
+    # -- results -------------------------------------------------------------------------------------------------------
+
+    def report(self, rest_reason: str | None = None) -> Report:
+        """Measure the present state (exact triangle tests included)."""
+        scene, model, x = self.scene, self.model, self._x
+        strain = spring_strains(x, model.springs)
+        structural = strain[model.springs.family == SpringFamily.STRUCTURAL]
+        shear = strain[model.springs.family == SpringFamily.SHEAR]
+        gaps = seam_gaps(scene.garment, self.positions)
+        warnings = [*scene.warnings, *self._warnings]
+        max_strain = float(structural.max(initial=0.0))
+        if max_strain > scene.fabric.strain_limit:
+            warnings.append(
+                f"strain {100 * max_strain:.1f} % is above the fabric's limit of {100 * scene.fabric.strain_limit:g} %; "
+                "the garment is too tight or the fabric too soft"
+            )
+        crossings, penetration = 0, 0.0
+        if scene.body is not None:
+            body = scene.body
+            crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
+            penetration = max(0.0, -float(body.signed_distance(x).min()))
+        costs = term_costs(self._x, self._v, self._terms, self._contact_settings, self._pairs, self._dt)
+        if rest_reason is None:
+            rest_reason = "at rest" if self.settled else f"{self.phase}"
+        return Report(
+            garment=scene.garment.name,
+            body=scene.body.name if scene.body is not None else None,
+            fabric=scene.fabric.name,
+            particles=model.particle_count,
+            triangles=len(model.triangles),
+            springs=len(model.springs),
+            terms={
+                t.name: {
+                    "active": t.active,
+                    "reason": t.reason,
+                    "elements": t.elements,
+                    "microseconds_per_step": costs.get(t.name) if t.active else 0.0,
+                }
+                for t in model.terms
+            },
+            time_step=self._dt,
+            stable_time_step=self._stable.time_step,
+            steps=self.steps,
+            simulated_time=self.time,
+            wall_time=self._wall,
+            settled=self.settled,
+            rest_reason=rest_reason,
+            max_strain=max_strain,
+            mean_strain=float(np.abs(structural).mean()) if len(structural) else 0.0,
+            max_shear_strain=float(shear.max(initial=0.0)),
+            strain_limit=scene.fabric.strain_limit,
+            max_seam_gap=max(gaps.values(), default=0.0),
+            open_seams=self._open_seams,
+            body_intersections=crossings,
+            self_intersections=len(self_crossing_edges(x, model.triangles)),
+            max_penetration=penetration,
+            contact_searches=self._searches,
+            warnings=tuple(dict.fromkeys(warnings)),
+            state_sha256=self.state_hash(),
+        )
+
+    def state_hash(self) -> str:
+        """SHA-256 of positions and velocities, little-endian float64."""
+        data = np.ascontiguousarray(np.concatenate([self._x, self._v]), dtype="<f8")
+        return hashlib.sha256(data.tobytes()).hexdigest()
+
+    def describe(self) -> dict[str, Any]:
+        """Terms with their reasons, counts and the stable time step, as JSON types; nothing is run."""
+        model = self.model
+        limit = self._stable
+        return {
+            "garment": self.scene.garment.name,
+            "body": self.scene.body.name if self.scene.body is not None else None,
+            "fabric": self.scene.fabric.name,
+            "spacing": self.scene.settings.spacing,
+            "particles": model.particle_count,
+            "triangles": len(model.triangles),
+            "springs": len(model.springs),
+            "panels": list(self.scene.garment.panel_names),
+            "seams": len(self.scene.garment.seams),
+            "area": float(self.scene.garment.areas.sum()),
+            "mass": float(model.mass.sum()),
+            "terms": {t.name: {"active": t.active, "reason": t.reason, "elements": t.elements} for t in model.terms},
+            "time_step": self._dt,
+            "stable_time_step": limit.time_step if math.isfinite(limit.time_step) else None,
+            "largest_frequency": limit.largest_frequency,
+            "damping_ratio": limit.damping_ratio if math.isfinite(limit.damping_ratio) else None,
+            "phase": self.phase,
+            "simulated_time": self.time,
+            "warnings": list(self.scene.warnings),
+        }

@@ -1,0 +1,116 @@
+"""One time step: forces of the terms that the scene has, equation 6, contact; many steps in one compiled loop."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cloth_core.bending import bending_forces
+from cloth_core.contact import ContactPairs, resolve_contacts
+from cloth_core.euler import semi_implicit_euler
+from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
+from cloth_core.sewing import SeamPull, seam_forces
+from cloth_core.springs import spring_forces
+
+__all__ = ["ContactSettings", "ForceTerms", "run_steps", "total_force"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+class ForceTerms(NamedTuple):
+    """Arrays of all force terms; a term that the scene does not need has none and its loop does not run.
+
+    Attributes:
+        mass, inverse_mass: [kg, 1/kg], (n,); the inverse is 0 for a particle that is held.
+        gravity: [m/s^2], (3,).
+        air_drag: k_a [1/s].
+        spring_pairs (s, 2), spring_rest_length (s,) [m], spring_stiffness (s,) [N/m], spring_damping_time [s].
+        lines (l, 3), line_stiffness (l,), hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m].
+        bending_damping_time: [s].
+        seam: pull of the open seams.
+    """
+
+    mass: Floats
+    inverse_mass: Floats
+    gravity: Floats
+    air_drag: float
+    spring_pairs: Ints
+    spring_rest_length: Floats
+    spring_stiffness: Floats
+    spring_damping_time: float
+    lines: Ints
+    line_stiffness: Floats
+    hinges: Ints
+    hinge_weights: Floats
+    hinge_stiffness: Floats
+    bending_damping_time: float
+    seam: SeamPull
+
+
+class ContactSettings(NamedTuple):
+    """What the contact term needs besides its pairs.
+
+    Attributes:
+        active: whether there is anything to collide with.
+        body_vertices (b, 3) [m], body_triangles (t, 3).
+        offset, side_offset: [m]; friction: Coulomb coefficient; push_speed: [m/s].
+    """
+
+    active: bool
+    body_vertices: Floats
+    body_triangles: Ints
+    offset: float
+    side_offset: float
+    friction: float
+    push_speed: float
+
+
+@njit(cache=True, nogil=True)
+def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, force: Floats) -> None:
+    """Sum of all forces on each particle (paper, equation 1), written to force (n, 3) [N]."""
+    gravity_forces(terms.mass, terms.gravity, force)
+    if terms.air_drag != 0.0:
+        air_drag_forces(v, terms.mass, terms.air_drag, force)
+    spring_forces(
+        x, v, terms.spring_pairs, terms.spring_rest_length, terms.spring_stiffness, terms.spring_damping_time, force
+    )
+    bending_forces(
+        x, v, terms.lines, terms.line_stiffness, terms.hinges, terms.hinge_weights, terms.hinge_stiffness,
+        terms.bending_damping_time, force,
+    )  # fmt: skip
+    if terms.seam.pairs.shape[0] > 0:
+        seam_forces(x, v, terms.seam, openness, force)
+
+
+@njit(cache=True, nogil=True)
+def run_steps(
+    x: Floats,
+    v: Floats,
+    force: Floats,
+    moved: Floats,
+    terms: ForceTerms,
+    contact: ContactSettings,
+    pairs: ContactPairs,
+    dt: float,
+    count: int,
+    openness: float,
+    openness_rate: float,
+) -> int:
+    """Up to `count` steps of dt [s], in place; the number done, fewer when contacts must be searched anew.
+
+    x, v, force (n, 3) [m, m/s, N]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
+    """
+    for step in range(count):
+        openness = max(openness - openness_rate * dt, 0.0)
+        total_force(x, v, terms, openness, force)
+        semi_implicit_euler(x, v, force, terms.inverse_mass, dt)
+        if contact.active and resolve_contacts(
+            x, v, terms.inverse_mass, pairs, contact.body_vertices, contact.body_triangles, contact.offset,
+            contact.side_offset, contact.friction, contact.push_speed, dt, moved,
+        ):  # fmt: skip
+            return step + 1
+    return count

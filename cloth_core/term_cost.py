@@ -1,0 +1,61 @@
+"""What a step of each term costs, measured on the present state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.bending import bending_forces
+from cloth_core.contact import ContactPairs, resolve_contacts
+from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
+from cloth_core.sewing import seam_forces
+from cloth_core.springs import spring_forces
+from cloth_core.step import ContactSettings, ForceTerms
+
+__all__ = ["term_costs"]
+
+Floats = NDArray[np.float64]
+
+_REPEATS = 20
+
+
+def term_costs(
+    x: Floats, v: Floats, terms: ForceTerms, contact: ContactSettings, pairs: ContactPairs, dt: float
+) -> dict[str, float]:
+    """Median microseconds that one step of each term takes, on copies of the state x, v (n, 3).
+
+    The structural, shear and bending springs run in one loop; its time is shared out by their number elsewhere.
+    """
+    force = np.zeros_like(x)
+    measured: dict[str, Callable[[], object]] = {
+        "gravity": lambda: gravity_forces(terms.mass, terms.gravity, force),
+        "air drag": lambda: air_drag_forces(v, terms.mass, terms.air_drag, force),
+        "structural springs": lambda: spring_forces(
+            x, v, terms.spring_pairs, terms.spring_rest_length, terms.spring_stiffness, terms.spring_damping_time, force
+        ),
+        "bending": lambda: bending_forces(
+            x, v, terms.lines, terms.line_stiffness, terms.hinges, terms.hinge_weights, terms.hinge_stiffness,
+            terms.bending_damping_time, force,
+        ),
+    }  # fmt: skip
+    if terms.seam.pairs.shape[0] > 0:
+        measured["seams"] = lambda: seam_forces(x, v, terms.seam, 0.0, force)
+    if contact.active:
+        moved, xc, vc = np.zeros(len(x)), x.copy(), v.copy()
+        measured["body contact"] = lambda: resolve_contacts(
+            xc, vc, terms.inverse_mass, pairs, contact.body_vertices, contact.body_triangles, contact.offset,
+            contact.side_offset, contact.friction, contact.push_speed, dt, moved,
+        )  # fmt: skip
+    return {name: _median_microseconds(run) for name, run in measured.items()}
+
+
+def _median_microseconds(run: Callable[[], object]) -> float:
+    times = []
+    for _ in range(_REPEATS):
+        began = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - began)
+    return 1e6 * float(np.median(times))
