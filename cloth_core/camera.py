@@ -83,4 +83,5 @@ class Camera:
     def to_world(self, direction: Sequence[float]) -> NDArray[np.float32]:
         """Unit vector in the world of a direction (right, up, towards the viewer)."""
         world = np.asarray(direction) @ (self.axes * np.array([[1], [1], [-1]]))
-        return (world / np.linalg.norm(world)).astype(np.float32)
+        unit: NDArray[np.float32] = (world / np.linalg.norm(world)).astype(np.float32)
+        return unit

@@ -33,9 +33,15 @@ Ints = NDArray[np.int32]
 _TRAVEL = 0.9
 # Sides and body corners are held off at this share of the vertices' offset: they only act where vertices cannot.
 _SIDE_OFFSET_SHARE = 0.5
+# A side contact counts from this many offsets on: one that rests at the offset must not come and go with rounding.
+_SIDE_REACH = 1.02
 # A vertex's contact planes are renewed when it has moved by this share of the offset.
 _RENEWAL_SHARE = 0.05
 _MOST_PLANES = 3
+# Time in which cloth that is too near comes out, to 1/e [s].
+_PUSH_TIME = 0.01
+# Passes over contacts that share a particle.
+_SWEEPS = 4
 
 
 class ContactPairs(NamedTuple):
@@ -46,10 +52,15 @@ class ContactPairs(NamedTuple):
         travel: how far each particle may move from there [m], (n,).
         vertex_start: first entry of each particle in vertex_triangle, (n + 1,).
         vertex_triangle: body triangles within reach of each particle.
-        edges: cloth side (2 particles) and body side (2 vertices) within reach, (e, 4).
-        edge_distance: their distance at the search [m], (e,).
-        faces: cloth triangle (3 particles) and body vertex within reach, (f, 4).
-        face_distance: their distance at the search [m], (f,).
+        sides: pairs of which neither part is a cloth vertex, (s, 5): three cloth particles and two body vertices. Cloth
+            side against body side: the third particle is -1. Cloth triangle against body vertex: the last is -1.
+        side_distance: their distance at the search [m], (s,).
+        side_weight: where the closest point lies between the three particles, (s, 3).
+        side_normal: unit normal from body to cloth, (s, 3).
+        side_gap: distance to the offset before the step [m], (s,).
+        side_impulse: what the contact gave in the last step along the normal, (s,) [N s], and
+        side_friction: across it, (s, 3) [N s]; the next step starts from them.
+        side_active: which entries are in contact; the first side_active_count[0] count, (s,).
         plane_count: contact planes of each particle, (n,); -1 before they are first computed.
         plane_normal: unit normals pointing away from the body, (n, 3, 3).
         plane_gap: distance to the offset surface at plane_at [m], (n, 3).
@@ -60,10 +71,15 @@ class ContactPairs(NamedTuple):
     travel: Floats
     vertex_start: Ints
     vertex_triangle: Ints
-    edges: Ints
-    edge_distance: Floats
-    faces: Ints
-    face_distance: Floats
+    sides: Ints
+    side_distance: Floats
+    side_weight: Floats
+    side_normal: Floats
+    side_gap: Floats
+    side_impulse: Floats
+    side_friction: Floats
+    side_active: Ints
+    side_active_count: Ints
     plane_count: Ints
     plane_normal: Floats
     plane_gap: Floats
@@ -102,7 +118,7 @@ class BodyContact:
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = overlapping_pairs(self.body.tree, self._tree, self._leaf_pairs)
-        vertex_pairs, edges, edge_distance, faces, face_distance, gap = _narrow_phase(
+        vertex_pairs, sides, side_distance, gap = _narrow_phase(
             x, self.triangles, self._cloth, self.body.vertices, self.body.triangles, self.body.representatives,
             self._leaf_pairs[:found], query, self.side_offset + reach,
         )  # fmt: skip
@@ -113,10 +129,15 @@ class BodyContact:
             travel=np.minimum(_TRAVEL * gap, reach),
             vertex_start=start,
             vertex_triangle=np.ascontiguousarray(vertex_pairs[order, 1]),
-            edges=edges,
-            edge_distance=edge_distance,
-            faces=faces,
-            face_distance=face_distance,
+            sides=sides,
+            side_distance=side_distance,
+            side_weight=np.zeros((len(sides), 3)),
+            side_normal=np.zeros((len(sides), 3)),
+            side_gap=np.zeros(len(sides)),
+            side_impulse=np.zeros(len(sides)),
+            side_friction=np.zeros((len(sides), 3)),
+            side_active=np.zeros(len(sides), dtype=np.int32),
+            side_active_count=np.zeros(1, dtype=np.int32),
             plane_count=np.full(self._count, -1, dtype=np.int32),
             plane_normal=np.zeros((self._count, _MOST_PLANES, 3)),
             plane_gap=np.zeros((self._count, _MOST_PLANES)),
@@ -136,7 +157,8 @@ def no_contact_pairs() -> ContactPairs:
     """Pairs of a scene in which nothing can collide."""
     return ContactPairs(
         np.zeros((0, 3)), np.zeros(0), np.zeros(1, dtype=np.int32), np.zeros(0, dtype=np.int32),
-        np.zeros((0, 4), dtype=np.int32), np.zeros(0), np.zeros((0, 4), dtype=np.int32), np.zeros(0),
+        np.zeros((0, 5), dtype=np.int32), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0),
+        np.zeros((0, 3)), np.zeros(0, dtype=np.int32), np.zeros(1, dtype=np.int32),
         np.zeros(0, dtype=np.int32), np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3)),
     )  # fmt: skip
 
@@ -152,7 +174,7 @@ def _narrow_phase(
     leaf_pairs: Ints,
     vertex_reach: float,
     side_reach: float,
-) -> tuple[Ints, Ints, Floats, Ints, Floats, Floats]:
+) -> tuple[Ints, Ints, Floats, Floats]:
     """Distances of all vertex-triangle, edge-edge and triangle-vertex pairs of the leaf pairs that are within reach.
 
     The last value is each particle's smallest distance [m], over all pairs that its triangles and sides are in; inf
@@ -160,11 +182,9 @@ def _narrow_phase(
     """
     gap = np.full(x.shape[0], np.inf)
     vertex_pairs = np.empty((4096, 2), dtype=np.int32)
-    edges = np.empty((4096, 4), dtype=np.int32)
-    edge_distance = np.empty(4096)
-    faces = np.empty((1024, 4), dtype=np.int32)
-    face_distance = np.empty(1024)
-    vertex_count, edge_count, face_count = 0, 0, 0
+    sides = np.empty((4096, 5), dtype=np.int32)
+    side_distance = np.empty(4096)
+    vertex_count, side_count = 0, 0
     vertex_limit = vertex_reach * vertex_reach
     side_limit = side_reach * side_reach
     for pair in range(leaf_pairs.shape[0]):
@@ -189,15 +209,13 @@ def _narrow_phase(
                     distance = np.sqrt(squared)
                     for c in (c0, c1, c2):
                         gap[c] = min(gap[c], distance)
-                    if face_count == faces.shape[0]:
-                        faces = np.concatenate((faces, np.empty_like(faces)))
-                        face_distance = np.concatenate((face_distance, np.empty_like(face_distance)))
-                    faces[face_count, 0] = c0
-                    faces[face_count, 1] = c1
-                    faces[face_count, 2] = c2
-                    faces[face_count, 3] = j
-                    face_distance[face_count] = distance
-                    face_count += 1
+                    sides, side_distance = _with_room(sides, side_distance, side_count)
+                    for corner in range(3):
+                        sides[side_count, corner] = triangles[ct, corner]
+                    sides[side_count, 3] = j
+                    sides[side_count, 4] = -1
+                    side_distance[side_count] = distance
+                    side_count += 1
             if cloth.owns_edge[ct, k]:
                 p, q = triangles[ct, k], triangles[ct, (k + 1) % 3]
                 for m in range(3):
@@ -217,23 +235,22 @@ def _narrow_phase(
                         distance = np.sqrt(squared)
                         gap[p] = min(gap[p], distance)
                         gap[q] = min(gap[q], distance)
-                        if edge_count == edges.shape[0]:
-                            edges = np.concatenate((edges, np.empty_like(edges)))
-                            edge_distance = np.concatenate((edge_distance, np.empty_like(edge_distance)))
-                        edges[edge_count, 0] = p
-                        edges[edge_count, 1] = q
-                        edges[edge_count, 2] = a
-                        edges[edge_count, 3] = b
-                        edge_distance[edge_count] = distance
-                        edge_count += 1
-    return (
-        vertex_pairs[:vertex_count].copy(),
-        edges[:edge_count].copy(),
-        edge_distance[:edge_count].copy(),
-        faces[:face_count].copy(),
-        face_distance[:face_count].copy(),
-        gap,
-    )
+                        sides, side_distance = _with_room(sides, side_distance, side_count)
+                        sides[side_count, 0] = p
+                        sides[side_count, 1] = q
+                        sides[side_count, 2] = -1
+                        sides[side_count, 3] = a
+                        sides[side_count, 4] = b
+                        side_distance[side_count] = distance
+                        side_count += 1
+    return vertex_pairs[:vertex_count].copy(), sides[:side_count].copy(), side_distance[:side_count].copy(), gap
+
+
+@njit(cache=True, nogil=True)
+def _with_room(sides: Ints, distance: Floats, count: int) -> tuple[Ints, Floats]:
+    if count < sides.shape[0]:
+        return sides, distance
+    return np.concatenate((sides, np.empty_like(sides))), np.concatenate((distance, np.empty_like(distance)))
 
 
 @njit(cache=True, nogil=True)
@@ -320,7 +337,27 @@ def resolve_contacts(
 
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass, moved (n,); offsets [m]; push_speed [m/s]; dt [s].
     """
+    _repeat_side_impulses(x, v, inverse_mass, pairs, dt)
     spent = keep_within_travel(x, pairs, moved)
+    _hold_vertices(x, v, inverse_mass, pairs, body_x, body_triangles, offset, friction, push_speed, dt)
+    _hold_sides(x, v, inverse_mass, pairs, body_x, side_offset, friction, push_speed, dt, moved)
+    return keep_within_travel(x, pairs, moved) or spent
+
+
+@njit(cache=True, nogil=True)
+def _hold_vertices(
+    x: Floats,
+    v: Floats,
+    inverse_mass: Floats,
+    pairs: ContactPairs,
+    body_x: Floats,
+    body_triangles: Ints,
+    offset: float,
+    friction: float,
+    push_speed: float,
+    dt: float,
+) -> None:
+    """Cloth vertices against body triangles: each particle against its own contact planes."""
     renewal = _RENEWAL_SHARE * offset
     for i in range(x.shape[0]):
         if pairs.vertex_start[i] == pairs.vertex_start[i + 1] or inverse_mass[i] == 0.0:
@@ -330,107 +367,187 @@ def resolve_contacts(
         dz = x[i, 2] - pairs.plane_at[i, 2]
         if pairs.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > renewal * renewal:
             _renew_planes(i, x, pairs, body_x, body_triangles, offset, 2.0 * renewal)
-            dx, dy, dz = 0.0, 0.0, 0.0
-        for k in range(pairs.plane_count[i]):
-            nx, ny, nz = pairs.plane_normal[i, k, 0], pairs.plane_normal[i, k, 1], pairs.plane_normal[i, k, 2]
-            gap = pairs.plane_gap[i, k] + nx * dx + ny * dy + nz * dz
-            if gap >= 0.0:
-                continue
-            approach = nx * v[i, 0] + ny * v[i, 1] + nz * v[i, 2]
-            push = _push(gap, approach, push_speed, dt)
-            if push <= 0.0:
-                continue
-            stop = max(-approach, 0.0)
-            tx, ty, tz = v[i, 0] - approach * nx, v[i, 1] - approach * ny, v[i, 2] - approach * nz
-            slide = np.sqrt(tx * tx + ty * ty + tz * tz)
-            hold = min(friction * stop / slide, 1.0) if slide > 0.0 else 0.0
-            for axis in range(3):
-                n = pairs.plane_normal[i, k, axis]
-                t = tx if axis == 0 else (ty if axis == 1 else tz)
-                v[i, axis] += stop * n - hold * t
-                x[i, axis] += push * n - hold * t * dt
-            dx = x[i, 0] - pairs.plane_at[i, 0]
-            dy = x[i, 1] - pairs.plane_at[i, 1]
-            dz = x[i, 2] - pairs.plane_at[i, 2]
-    weight = np.zeros(3)
-    index = np.zeros(3, dtype=np.int64)
-    at = np.zeros(3)
-    for e in range(pairs.edges.shape[0]):
-        p, q, a, b = pairs.edges[e, 0], pairs.edges[e, 1], pairs.edges[e, 2], pairs.edges[e, 3]
-        if pairs.edge_distance[e] - side_offset > max(moved[p], moved[q]):
-            continue
-        squared, s, t = segment_segment(x[p], x[q], body_x[a], body_x[b])
-        if squared >= side_offset * side_offset or squared < 1e-24:
-            continue
-        index[0], index[1] = p, q
-        weight[0], weight[1] = 1.0 - s, s
-        for axis in range(3):
-            at[axis] = body_x[a, axis] + t * (body_x[b, axis] - body_x[a, axis])
-        _hold_off(x, v, inverse_mass, index, weight, 2, at, np.sqrt(squared), side_offset, friction, push_speed, dt)
-    for f in range(pairs.faces.shape[0]):
-        p, q, r, j = pairs.faces[f, 0], pairs.faces[f, 1], pairs.faces[f, 2], pairs.faces[f, 3]
-        if pairs.face_distance[f] - side_offset > max(moved[p], max(moved[q], moved[r])):
-            continue
-        squared, w0, w1, w2 = point_triangle(body_x[j], x[p], x[q], x[r])
-        if squared >= side_offset * side_offset or squared < 1e-24:
-            continue
-        index[0], index[1], index[2] = p, q, r
-        weight[0], weight[1], weight[2] = w0, w1, w2
-        _hold_off(
-            x, v, inverse_mass, index, weight, 3, body_x[j], np.sqrt(squared), side_offset, friction, push_speed, dt
-        )
-    return keep_within_travel(x, pairs, moved) or spent
+        planes = pairs.plane_count[i]
+        # One plane is settled in one go; in a crease the planes disturb each other.
+        for _ in range(1 if planes == 1 else _SWEEPS):
+            for k in range(planes):
+                nx, ny, nz = pairs.plane_normal[i, k, 0], pairs.plane_normal[i, k, 1], pairs.plane_normal[i, k, 2]
+                gap = (
+                    pairs.plane_gap[i, k]
+                    + nx * (x[i, 0] - pairs.plane_at[i, 0])
+                    + ny * (x[i, 1] - pairs.plane_at[i, 1])
+                    + nz * (x[i, 2] - pairs.plane_at[i, 2])
+                )
+                if gap >= 0.0:
+                    continue
+                approach = nx * v[i, 0] + ny * v[i, 1] + nz * v[i, 2]
+                push = _push(gap, approach, push_speed, dt)
+                if push <= 0.0:
+                    continue
+                stop = max(-approach, 0.0)
+                tx, ty, tz = v[i, 0] - approach * nx, v[i, 1] - approach * ny, v[i, 2] - approach * nz
+                slide = np.sqrt(tx * tx + ty * ty + tz * tz)
+                hold = min(friction * stop / slide, 1.0) if slide > 0.0 else 0.0
+                v[i, 0] += stop * nx - hold * tx
+                v[i, 1] += stop * ny - hold * ty
+                v[i, 2] += stop * nz - hold * tz
+                x[i, 0] += push * nx - hold * tx * dt
+                x[i, 1] += push * ny - hold * ty * dt
+                x[i, 2] += push * nz - hold * tz * dt
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _push(gap: float, approach: float, push_speed: float, dt: float) -> float:
-    """How far to move along the normal [m]: back to the offset, or as far out as push_speed allows."""
+    """How far to move along the normal [m]: back to where the step began, and if that is too near a little farther.
+
+    What is too near comes out exponentially, at most at push_speed: a jump would stretch the springs and stir the cloth.
+    """
     before = gap - dt * approach
-    return float(min(0.0, before + push_speed * dt if before < 0.0 else 0.0) - gap)
+    if before < 0.0:
+        before += min(push_speed, -before / _PUSH_TIME) * dt
+    return float(min(0.0, before) - gap)
 
 
 @njit(cache=True, nogil=True)
-def _hold_off(
+def _repeat_side_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: ContactPairs, dt: float) -> None:
+    """Give each side contact what it needed in the last step.
+
+    Side contacts share particles, so that one pass over them does not settle them. Resting contacts need the same
+    impulse in every step: started from the last one, they settle from step to step instead of within each.
+    """
+    impulse = np.zeros(3)
+    for entry in range(pairs.side_active_count[0]):
+        s = pairs.side_active[entry]
+        for axis in range(3):
+            impulse[axis] = pairs.side_impulse[s] * pairs.side_normal[s, axis] + pairs.side_friction[s, axis]
+        _apply(x, v, inverse_mass, pairs, s, impulse, dt)
+
+
+@njit(cache=True, nogil=True)
+def _apply(
+    x: Floats, v: Floats, inverse_mass: Floats, pairs: ContactPairs, s: int, impulse: Floats, dt: float
+) -> None:
+    """Apply an impulse (3,) [N s] at the closest point of side contact s."""
+    for k in range(3):
+        i = pairs.sides[s, k]
+        if i < 0:
+            continue
+        share = pairs.side_weight[s, k] * inverse_mass[i]
+        for axis in range(3):
+            v[i, axis] += share * impulse[axis]
+            x[i, axis] += share * impulse[axis] * dt
+
+
+@njit(cache=True, nogil=True)
+def _hold_sides(
     x: Floats,
     v: Floats,
     inverse_mass: Floats,
-    index: NDArray[np.int64],
-    weight: Floats,
-    count: int,
-    at: Floats,
-    distance: float,
+    pairs: ContactPairs,
+    body_x: Floats,
     offset: float,
     friction: float,
     push_speed: float,
     dt: float,
+    moved: Floats,
 ) -> None:
-    """One contact between the point sum weight_k x[index_k] of the cloth and the point `at` of the body."""
-    normal = np.zeros(3)
+    """Cloth sides against body sides and cloth triangles against body vertices, by sweeps of impulses that only push."""
+    count = 0
+    for s in range(pairs.sides.shape[0]):
+        p, q, r = pairs.sides[s, 0], pairs.sides[s, 1], pairs.sides[s, 2]
+        a, b = pairs.sides[s, 3], pairs.sides[s, 4]
+        farthest = max(moved[p], moved[q])
+        if r >= 0:
+            farthest = max(farthest, moved[r])
+        # Nothing can have come nearer than by the way that its particles went since the search.
+        near = pairs.side_distance[s] - _SIDE_REACH * offset <= farthest
+        squared = np.inf
+        if near and r < 0:
+            squared, along, other = segment_segment(x[p], x[q], body_x[a], body_x[b])
+            pairs.side_weight[s, 0], pairs.side_weight[s, 1] = 1.0 - along, along
+        elif near:
+            squared, w0, w1, w2 = point_triangle(body_x[a], x[p], x[q], x[r])
+            pairs.side_weight[s, 0], pairs.side_weight[s, 1], pairs.side_weight[s, 2] = w0, w1, w2
+        if squared >= (_SIDE_REACH * offset) ** 2 or squared < 1e-24:
+            pairs.side_impulse[s] = 0.0
+            for axis in range(3):
+                pairs.side_friction[s, axis] = 0.0
+            continue
+        distance = np.sqrt(squared)
+        for axis in range(3):
+            at = body_x[a, axis]
+            if r < 0:
+                at += other * (body_x[b, axis] - body_x[a, axis])
+            point = pairs.side_weight[s, 0] * x[p, axis] + pairs.side_weight[s, 1] * x[q, axis]
+            if r >= 0:
+                point += pairs.side_weight[s, 2] * x[r, axis]
+            pairs.side_normal[s, axis] = (point - at) / distance
+        pairs.side_gap[s] = distance - offset - dt * _approach(v, pairs, s)
+        pairs.side_active[count] = s
+        count += 1
+    pairs.side_active_count[0] = count
     velocity = np.zeros(3)
-    compliance = 0.0
-    for k in range(count):
-        compliance += weight[k] * weight[k] * inverse_mass[index[k]]
-        for axis in range(3):
-            normal[axis] += weight[k] * x[index[k], axis]
-            velocity[axis] += weight[k] * v[index[k], axis]
-    if compliance <= 0.0:
-        return
-    approach = 0.0
-    for axis in range(3):
-        normal[axis] = (normal[axis] - at[axis]) / distance
-        approach += normal[axis] * velocity[axis]
-    push = _push(distance - offset, approach, push_speed, dt)
-    if push <= 0.0:
-        return
-    stop = max(-approach, 0.0)
-    slide = 0.0
-    for axis in range(3):
-        velocity[axis] -= approach * normal[axis]
-        slide += velocity[axis] * velocity[axis]
-    slide = np.sqrt(slide)
-    hold = min(friction * stop / slide, 1.0) if slide > 0.0 else 0.0
-    for k in range(count):
-        share = weight[k] * inverse_mass[index[k]] / compliance
-        for axis in range(3):
-            v[index[k], axis] += share * (stop * normal[axis] - hold * velocity[axis])
-            x[index[k], axis] += share * (push * normal[axis] - hold * velocity[axis] * dt)
+    impulse = np.zeros(3)
+    for _ in range(_SWEEPS if count > 0 else 0):
+        for entry in range(count):
+            s = pairs.side_active[entry]
+            compliance = 0.0
+            velocity[:] = 0.0
+            for k in range(3):
+                i = pairs.sides[s, k]
+                if i >= 0:
+                    compliance += pairs.side_weight[s, k] ** 2 * inverse_mass[i]
+                    for axis in range(3):
+                        velocity[axis] += pairs.side_weight[s, k] * v[i, axis]
+            if compliance <= 0.0:
+                continue
+            approach = 0.0
+            for axis in range(3):
+                approach += velocity[axis] * pairs.side_normal[s, axis]
+            # A gap that was still open may close within the step, no more.
+            wanted = -max(pairs.side_gap[s], 0.0) / dt
+            before = pairs.side_impulse[s]
+            pairs.side_impulse[s] = max(before + (wanted - approach) / compliance, 0.0)
+            size = 0.0
+            for axis in range(3):
+                across = velocity[axis] - approach * pairs.side_normal[s, axis]
+                impulse[axis] = pairs.side_friction[s, axis] - across / compliance
+                size += impulse[axis] * impulse[axis]
+            size = np.sqrt(size)
+            limit = friction * pairs.side_impulse[s]
+            share = limit / size if size > limit else 1.0
+            for axis in range(3):
+                held = share * impulse[axis]
+                change = held - pairs.side_friction[s, axis]
+                pairs.side_friction[s, axis] = held
+                impulse[axis] = change + (pairs.side_impulse[s] - before) * pairs.side_normal[s, axis]
+            _apply(x, v, inverse_mass, pairs, s, impulse, dt)
+    for entry in range(count):
+        s = pairs.side_active[entry]
+        if pairs.side_gap[s] >= 0.0:
+            continue
+        push = min(push_speed, -pairs.side_gap[s] / _PUSH_TIME) * dt
+        compliance = 0.0
+        for k in range(3):
+            if pairs.sides[s, k] >= 0:
+                compliance += pairs.side_weight[s, k] ** 2 * inverse_mass[pairs.sides[s, k]]
+        if compliance <= 0.0:
+            continue
+        for k in range(3):
+            i = pairs.sides[s, k]
+            if i >= 0:
+                share = pairs.side_weight[s, k] * inverse_mass[i] / compliance
+                for axis in range(3):
+                    x[i, axis] += share * push * pairs.side_normal[s, axis]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _approach(v: Floats, pairs: ContactPairs, s: int) -> float:
+    """Normal velocity of the cloth's closest point of side contact s [m/s], negative towards the body."""
+    speed = 0.0
+    for k in range(3):
+        i = pairs.sides[s, k]
+        if i >= 0:
+            for axis in range(3):
+                speed += pairs.side_weight[s, k] * v[i, axis] * pairs.side_normal[s, axis]
+    return speed

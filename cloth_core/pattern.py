@@ -20,7 +20,7 @@ from cloth_core.errors import PatternError
 
 __all__ = ["MAX_TEXT_BYTES", "Edge", "Panel", "Pattern", "Stitch", "StitchSide", "builtin_patterns"]
 
-MAX_TEXT_BYTES = 16 * 1024 * 1024  # published patterns have 20 to 200 kB
+MAX_TEXT_BYTES = 4 * 1024 * 1024  # published patterns have 20 to 200 kB
 
 FloatArray = NDArray[np.float64]
 

@@ -11,13 +11,14 @@ from cloth_core.curves import Line
 from cloth_core.errors import PatternError
 from cloth_core.pattern import Panel, Stitch, StitchSide
 
-__all__ = ["check_merging", "check_outline", "check_size", "seam_warnings", "start_distances"]
+__all__ = ["check_merging", "check_outline", "check_size", "corner_pairs", "seam_warnings", "start_distances"]
 
 MIN_PANEL_SIZE, MAX_PANEL_SIZE = 1e-3, 20.0  # [m], the longer side of the bounding box
 _USUAL_UNITS = {"centimetres": 100.0, "metres": 1.0, "millimetres": 1000.0, "inches": 39.37}
 _USUAL_PANEL_SIZE = (0.03, 3.0)  # [m]
 _MIN_AREA_SHARE = 1e-7  # of the squared size
 _SAMPLES_PER_CURVE = (64, 512)  # the finer one decides where curves meet at a sharp tip
+_MAX_SAMPLES = 50_000  # of one outline; one of thousands of curves needs fewer on each
 _LENGTH_RATIO = 1.5  # of sewn edges, above which a warning is given
 _TWIST_RATIO = 1.5  # of the distances in the given and the flipped pairing, above which a seam seems twisted
 
@@ -79,11 +80,12 @@ def _crossing(lines: list[object]) -> str:
     for i, line in enumerate(lines):
         if not shapely.is_simple(line):
             return f", edge {i}: crosses itself"
-    pairs = shapely.STRtree(lines).query(lines, predicate="intersects").T
-    for i, j in sorted((int(i), int(j)) for i, j in pairs if i < j):
-        neighbours = j - i == 1 or (i == 0 and j == len(lines) - 1)
-        if not neighbours or shapely.intersection(lines[i], lines[j]).geom_type != "Point":
-            return f", edges {i} and {j}: cross or touch each other"
+    tree = shapely.STRtree(lines)
+    for i, line in enumerate(lines):
+        for j in sorted(int(j) for j in tree.query(line, predicate="intersects") if j > i):
+            neighbours = j - i == 1 or (i == 0 and j == len(lines) - 1)
+            if not neighbours or shapely.intersection(line, lines[j]).geom_type != "Point":
+                return f", edges {i} and {j}: cross or touch each other"
     return ": its outline crosses or touches itself"
 
 
@@ -146,7 +148,7 @@ def _world_ends(panels: Mapping[str, Panel], stitch: Stitch) -> tuple[FloatArray
 
 
 def _seems_twisted(panels: Mapping[str, Panel], stitch: Stitch) -> bool:
-    """The ends would start closer the other way round, and clearly so once the distance between the panels is left out."""
+    """The ends would start closer the other way round, clearly so if the distance between the panels is left out."""
     given, flipped = start_distances(panels, stitch)
     first, second = _world_ends(panels, stitch)
     along, other = first[1] - first[0], second[1] - second[0]

@@ -10,14 +10,14 @@ import os
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from cloth_core.camera import VIEWS, Camera
 from cloth_core.errors import ClothError
 from cloth_core.mesh_files import write_file
-from cloth_core.shading import Surface, key_light, linear_light, open_sky, shade
+from cloth_core.shading import Obstacles, Rays, Surface, linear_light, shade
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -28,11 +28,13 @@ if TYPE_CHECKING:
 
 __all__ = ["BODY_COLOUR", "Renderer", "draw"]
 
-BODY_COLOUR = (0.80, 0.755, 0.715)
+BODY_COLOUR = (0.83, 0.785, 0.745)
 """Colour of the body, sRGB in 0..1: a mannequin, no skin."""
 
-_TOP, _BOTTOM, _INK = (0.955, 0.957, 0.962), (0.845, 0.848, 0.856), (0.23, 0.235, 0.26)
-_GROUND_CELLS, _GROUND_RAYS, _GROUND_DARKNESS = 72, 96, 0.8
+_TOP = np.array([0.955, 0.957, 0.962], dtype=np.float32)
+_BOTTOM = np.array([0.845, 0.848, 0.856], dtype=np.float32)
+_INK, _FAINT_INK = (59, 60, 66), (125, 127, 133)
+_GROUND_CELLS, _GROUND_RAYS, _GROUND_DARKNESS = 56, 256, 0.85
 _CONTRAST = 0.035  # of the square root of light, which is about even to the eye
 _RAYS_AT_A_TIME = 1 << 18
 _SMALLEST, _LARGEST = 16, 16384
@@ -44,15 +46,21 @@ class Renderer:
     def __init__(self, body: Mesh | None = None, *, samples: int = 3, occlusion_rays: int = 64) -> None:
         """Prepare the body, vertices [m] (n, 3) and triangles (m, 3).
 
-        Args:
-            body: what the garments are drawn on, or None.
-            samples: pixels that differ from their neighbours are traced again with samples x samples rays; 1 leaves
-                them as they are.
-            occlusion_rays: directions, spread over the sphere, in which each vertex looks for the sky; 0 leaves out
-                ambient occlusion and cast shadows, for quick frames.
+        Parameters
+        ----------
+        body
+            what the garments are drawn on, or None.
+        samples
+            pixels that differ from their neighbours are traced again with samples x samples rays; 1 leaves
+            them as they are.
+        occlusion_rays
+            directions, spread over the sphere, in which each vertex looks for the sky; 0 leaves out
+            ambient occlusion and cast shadows, for quick frames.
 
-        Raises:
-            ClothError: the body is empty, not finite or not a mesh, or embreex is not installed.
+        Raises
+        ------
+        ClothError
+            the body is empty, not finite or not a mesh, or embreex is not installed.
         """
         self._samples = samples
         self._occlusion_rays = occlusion_rays
@@ -70,20 +78,30 @@ class Renderer:
     ) -> NDArray[np.uint8]:
         """Draw garments on the body, the views side by side at one scale.
 
-        Args:
-            garments: (vertices [m] (n, 3), triangles (m, 3), colour) of each; colour is red, green, blue in 0..1, sRGB.
-            views: names out of `cloth_core.camera.VIEWS`.
-            size: width and height of the whole picture [pixels].
-            caption: text below the picture.
-            focus: centre (3,) and radius [m] of what shall fill each view; without it everything does.
-            frame_bounds: lowest and highest corner [m], shape (2, 3), of what the camera frames instead of the meshes
-                themselves, so that the frames of a film share one camera.
+        Parameters
+        ----------
+        garments
+            (vertices [m] (n, 3), triangles (m, 3), colour) of each; colour is red, green, blue in 0..1, sRGB.
+        views
+            names out of `cloth_core.camera.VIEWS`.
+        size
+            width and height of the whole picture [pixels].
+        caption
+            text below the picture.
+        focus
+            centre (3,) and radius [m] of what shall fill each view; without it everything does.
+        frame_bounds
+            lowest and highest corner [m], shape (2, 3), of what the camera frames instead of the meshes
+            themselves, so that the frames of a film share one camera.
 
-        Returns:
-            Picture, shape (height, width, 3).
+        Returns
+        -------
+        Picture, shape (height, width, 3).
 
-        Raises:
-            ClothError: nothing to draw, not finite, not a mesh, an unknown view, or an impossible size.
+        Raises
+        ------
+        ClothError
+            nothing to draw, not finite, not a mesh, an unknown view, or an impossible size.
         """
         surfaces = [] if self._body is None else [self._body]
         for index, (vertices, triangles, colour) in enumerate(garments):
@@ -97,7 +115,6 @@ class Renderer:
         _check_layout(views, size)
 
         scene = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
-        reach = float(np.linalg.norm(np.ptp(scene, axis=0)))
         if frame_bounds is not None:
             scene = np.stack(np.meshgrid(*_finite("frame_bounds", frame_bounds, (2, 3)).T), axis=-1).reshape(8, 3)
         frame = scene
@@ -107,48 +124,52 @@ class Renderer:
                 raise ClothError(f"picture: the radius of focus is {radius} m; give a length above 0")
             frame = centre + radius * np.concatenate([np.eye(3), -np.eye(3)])
 
+        obstacles = Obstacles(surfaces) if self._occlusion_rays else None
         for surface in surfaces:
-            surface.light_sky(surfaces, self._occlusion_rays, reach)
-        ground = None
-        if self._body is not None and self._occlusion_rays:
-            ground = _Ground.under(self._body, surfaces, reach)
+            surface.light_sky(obstacles, self._occlusion_rays)
+        ground = None if self._body is None or obstacles is None else _Ground.under(self._body, obstacles)
         footer = _footer(views, caption, size)
         height = size[1] - len(footer)
         columns = np.linspace(0, size[0], len(views) + 1).astype(int).tolist()
         cameras = Camera.of_views(views, scene, frame, (size[0] // len(views), height))
         picture = np.empty((size[1], size[0], 3), dtype=np.uint8)
         for camera, (left, right) in zip(cameras, pairwise(columns), strict=True):
-            picture[:height, left:right] = self._view(camera, surfaces, ground, (right - left, height), reach)
+            picture[:height, left:right] = self._view(camera, surfaces, obstacles, ground, (right - left, height))
         picture[height:] = footer
         return picture
 
     def _view(
-        self, camera: Camera, surfaces: list[Surface], ground: _Ground | None, size: tuple[int, int], reach: float
+        self,
+        camera: Camera,
+        surfaces: list[Surface],
+        obstacles: Obstacles | None,
+        ground: _Ground | None,
+        size: tuple[int, int],
     ) -> NDArray[np.uint8]:
         """One view, (height, width, 3): a ray through each pixel, more where neighbours differ (Whitted, 1980)."""
         width, height = size
         down = np.linspace(0, 1, height, dtype=np.float32)[:, None]
-        backdrop = linear_light((1 - down) * np.float32(_TOP) + down * np.float32(_BOTTOM))
+        backdrop = linear_light((1 - down) * _TOP + down * _BOTTOM)
         picture = np.repeat(backdrop[:, None], width, axis=1)
         if ground is not None:
             ground.darken(picture, camera)
         covers = [_covered(camera.project(surface.vertices)[surface.triangles], size) for surface in surfaces]
         inside = np.any(covers, axis=0)
         light = np.zeros((height, width, 4), dtype=np.float32)
-        light[inside] = self._trace(camera, surfaces, covers, inside, 1, reach)
+        light[inside] = self._trace(camera, surfaces, obstacles, covers, inside, 1)
         if self._samples > 1:
             uneven = inside & _uneven(light)
-            light[uneven] = self._trace(camera, surfaces, covers, uneven, self._samples, reach)
+            light[uneven] = self._trace(camera, surfaces, obstacles, covers, uneven, self._samples)
         return _encoded(picture * (1 - light[..., 3:]) + light[..., :3])
 
     def _trace(
         self,
         camera: Camera,
         surfaces: list[Surface],
+        obstacles: Obstacles | None,
         covers: list[NDArray[np.bool_]],
         wanted: NDArray[np.bool_],
         samples: int,
-        reach: float,
     ) -> Floats:
         """Linear light and coverage (k, 4) of the k wanted pixels, each the mean over samples x samples rays.
 
@@ -156,32 +177,26 @@ class Renderer:
         """
         rows, columns = np.nonzero(wanted)
         result = np.empty((len(rows), 4), dtype=np.float32)
-        within = (np.arange(samples) + 0.5) / samples
-        blockers = surfaces if self._occlusion_rays else []
         step = max(1, _RAYS_AT_A_TIME // samples**2)
         for start in range(0, len(rows), step):
             row, column = rows[start : start + step], columns[start : start + step]
-            x = (column[:, None, None] + within[None, None, :] + np.zeros((1, samples, 1))).ravel()
-            y = (row[:, None, None] + within[None, :, None] + np.zeros((1, 1, samples))).ravel()
-            directions = camera.directions(x, y)
-            nearest, depth = np.full(len(x), -1), np.full(len(x), np.inf, dtype=np.float32)
+            rays = Rays.through(camera, row, column, samples)
+            nearest, depth = np.full(len(rays.x), -1), np.full(len(rays.x), np.inf, dtype=np.float32)
             hits = []
             for index, surface in enumerate(surfaces):
-                (rays,) = np.nonzero(np.repeat(covers[index][row, column], samples**2))
-                hit = surface.first_hits(camera.eye, directions[rays])
-                closer = (hit["primID"] >= 0) & (hit["tfar"] < depth[rays])
-                rays = rays[closer]
-                nearest[rays], depth[rays] = index, hit["tfar"][closer]
-                hits.append((rays, {name: values[closer] for name, values in hit.items()}))
-            light = np.zeros((len(x), 4), dtype=np.float32)
-            for index, (rays, hit) in enumerate(hits):
-                seen = nearest[rays] == index
-                rays = rays[seen]
-                if len(rays):
-                    hit = {name: values[seen] for name, values in hit.items()}
-                    key = key_light(camera, x[rays], y[rays], samples)
-                    light[rays, :3] = shade(surfaces[index], hit, directions[rays], key, camera, blockers, reach)
-                    light[rays, 3] = 1
+                (near,) = np.nonzero(np.repeat(covers[index][row, column], samples**2))
+                hit = surface.first_hits(rays.pick(near))
+                closer = (hit["primID"] >= 0) & (hit["tfar"] < depth[near])
+                near = near[closer]
+                nearest[near], depth[near] = index, hit["tfar"][closer]
+                hits.append((near, {name: values[closer] for name, values in hit.items()}))
+            light = np.zeros((len(rays.x), 4), dtype=np.float32)
+            for index, (near, hit) in enumerate(hits):
+                seen = nearest[near] == index
+                if seen.any():
+                    own = {name: values[seen] for name, values in hit.items()}
+                    light[near[seen], :3] = shade(surfaces[index], own, rays.pick(near[seen]), obstacles)
+                    light[near[seen], 3] = 1
             result[start : start + step] = light.reshape(-1, samples**2, 4).mean(axis=1)
         return result
 
@@ -199,8 +214,10 @@ def draw(
 ) -> NDArray[np.uint8]:
     """Draw one picture at full quality and, given a path, write it as PNG; see `Renderer.render` for the arguments.
 
-    Raises:
-        ClothError: as `Renderer`; also if `path` does not end in .png or cannot be written.
+    Raises
+    ------
+    ClothError
+        as `Renderer`; also if `path` does not end in .png or cannot be written.
     """
     if path is not None and Path(path).suffix.lower() != ".png":
         raise ClothError(f"{path}: pictures are written as PNG; end the name in .png")
@@ -225,21 +242,21 @@ class _Ground(NamedTuple):
     hidden: Floats
 
     @classmethod
-    def under(cls, body: Surface, surfaces: list[Surface], reach: float) -> _Ground:
+    def under(cls, body: Surface, obstacles: Obstacles) -> _Ground:
         """The floor at the body's lowest point; shadows of everything fall on it."""
         from scipy.ndimage import gaussian_filter
 
         low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
-        half_width = float((high - low)[:2].max() / 2) + 0.3 * reach
+        half_width = float((high - low)[:2].max() / 2) + 0.17 * float(high[2] - low[2])
         steps = np.linspace(-1, 1, _GROUND_CELLS, dtype=np.float32)
         x, y = (values.ravel() for values in np.meshgrid(steps, steps))
         middle = (low + high)[:2] / 2
         points = np.column_stack([half_width * x + middle[0], half_width * y + middle[1], np.full(x.size, low[2])])
-        up = np.tile(np.float32([0, 0, 1]), (len(points), 1))
-        hidden = 1 - open_sky(surfaces, points.astype(np.float32), up, _GROUND_RAYS, reach)
-        fade = np.clip(2 - 2 * np.hypot(x, y), 0, 1)  # no rim where the square ends
+        up = np.tile(np.array([0, 0, 1], dtype=np.float32), (len(points), 1))
+        hidden = 1 - obstacles.open_sky(points.astype(np.float32), up, _GROUND_RAYS)
+        fade = np.clip(1.4 - 1.4 * np.hypot(x, y), 0, 1)  # no rim where the square ends
         darkness = (_GROUND_DARKNESS * hidden * fade).reshape(_GROUND_CELLS, _GROUND_CELLS)
-        return cls(middle, half_width, float(low[2]), gaussian_filter(darkness, 0.8).astype(np.float32))
+        return cls(middle, half_width, float(low[2]), gaussian_filter(darkness, 1.0).astype(np.float32))
 
     def darken(self, picture: Floats, camera: Camera) -> None:
         """Take the shadow's share of the light from the pixels (height, width, 3) of a backdrop."""
@@ -267,13 +284,14 @@ class _Ground(NamedTuple):
 def _covered(corners: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.bool_]:
     """Pixels (height, width) in the bounding boxes of triangles with pixel coordinates (m, 3, 2)."""
     width, height = size
-    left, top = np.clip(np.floor(corners.min(axis=1)), 0, size).astype(np.int64).T
-    right, bottom = np.clip(np.floor(corners.max(axis=1)) + 1, 0, size).astype(np.int64).T
+    a, b, c = (corners[:, k] for k in range(3))
+    left, top = np.clip(np.minimum(np.minimum(a, b), c), 0, size).astype(np.int64).T
+    right, bottom = np.clip(np.maximum(np.maximum(a, b), c) + 1, 0, size).astype(np.int64).T
     # +1 and -1 at the corners of the boxes, summed over rows and columns, count the boxes over each pixel.
     cells = np.concatenate([top, bottom, top, bottom]) * (width + 1) + np.concatenate([left, right, right, left])
     signs = np.repeat([1, 1, -1, -1], len(corners))
-    counts = np.bincount(cells, signs, (height + 1) * (width + 1)).reshape(height + 1, width + 1)
-    covered: NDArray[np.bool_] = counts.cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0.5
+    counts = np.bincount(cells, signs, (height + 1) * (width + 1)).astype(np.int32)
+    covered: NDArray[np.bool_] = counts.reshape(height + 1, width + 1).cumsum(axis=0).cumsum(axis=1)[:-1, :-1] > 0
     return covered
 
 
@@ -298,28 +316,24 @@ def _footer(views: Sequence[str], caption: str | None, size: tuple[int, int]) ->
     from PIL import Image, ImageDraw, ImageFont
 
     small, large = max(10, height // 62), max(11, height // 50)
-    lines = [(part.strip(), large) for part in (caption or "").splitlines() if part.strip()]
-    strip = round(0.6 * large) + sum(round(1.5 * part_size) for _, part_size in lines)
-    strip += round(1.5 * small) if len(views) > 1 else 0
+    lines = [line.strip() for line in (caption or "").splitlines() if line.strip()]
+    names_height = 1.5 * small if len(views) > 1 else 0.0
+    strip = round(0.6 * large + names_height + 1.5 * large * len(lines))
     if 3 * strip > height:
         raise ClothError(f"picture: {width} x {height} pixels leave no room for the caption; make it larger")
-    ink = tuple(round(255 * part) for part in _INK)
-    image = Image.new("RGB", (width, strip), tuple(round(255 * part) for part in _BOTTOM))
+    image = Image.new("RGB", (width, strip), tuple(np.rint(255 * _BOTTOM).astype(int).tolist()))
     pen = ImageDraw.Draw(image)
-    y = 0.3 * large
     if len(views) > 1:
         font = ImageFont.load_default(small)
         for index, view in enumerate(views):
-            x = (index + 0.5) * width / len(views)
-            pen.text((x, y + 0.75 * small), view.replace("_", " "), fill=(125, 127, 133), font=font, anchor="mm")
-        y += 1.5 * small
-    for text, part_size in lines:
-        font = ImageFont.load_default(part_size)
+            place = ((index + 0.5) * width / len(views), 0.3 * large + names_height / 2)
+            pen.text(place, view.replace("_", " "), fill=_FAINT_INK, font=font, anchor="mm")
+    for index, line in enumerate(lines):
         # A line that is too long is set smaller, not cut.
-        fitting = part_size * min(1.0, (1 - 2 * 0.02) * width / max(font.getlength(text), 1.0))
-        font = ImageFont.load_default(max(fitting, 6.0))
-        pen.text((width / 2, y + 0.75 * part_size), text, fill=ink, font=font, anchor="mm")
-        y += 1.5 * part_size
+        length = ImageFont.load_default(large).getlength(line)
+        font = ImageFont.load_default(max(large * min(1.0, 0.96 * width / length), 6.0))
+        place = (width / 2, 0.3 * large + names_height + 1.5 * large * (index + 0.5))
+        pen.text(place, line, fill=_INK, font=font, anchor="mm")
     return np.asarray(image)
 
 

@@ -1,0 +1,104 @@
+"""Where all messages of a node leave: to its listener, and to a log while one is being recorded."""
+
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Protocol
+
+from cloth_sim_ros.log_writer import LogError, LogWriter
+from cloth_sim_ros.topics import GARMENT, Topic
+
+__all__ = ["Listener", "Outlet"]
+
+
+class Listener(Protocol):
+    """Who hears from a worker, from any of its threads. Must not block for long and must not raise."""
+
+    def wants_frames(self) -> bool:
+        """Whether a frame sent now would reach anybody."""
+
+    def send(self, topic: Topic, data: bytes) -> None:
+        """A CDR message for a topic."""
+
+    def inform(self, line: str) -> None:
+        """Something went as asked."""
+
+    def warn(self, line: str) -> None:
+        """Something was refused or failed; one line."""
+
+
+class Outlet:
+    """Sends messages and keeps the last one of each latched topic, with which a new log starts. Any thread may call."""
+
+    def __init__(self, listener: Listener, node_name: str) -> None:
+        self._listener = listener
+        self._node_name = node_name
+        self._lock = threading.Lock()
+        self._log: LogWriter | None = None
+        self._latched: dict[Topic, bytes] = {}
+        self._last_stamp = 0
+
+    @property
+    def log_path(self) -> Path | None:
+        """File that is being recorded, or None."""
+        log = self._log
+        return None if log is None else log.path
+
+    def next_start(self) -> int:
+        """Stamp [ns since 1970] at which another run can start: now, but after all that has been sent."""
+        return max(time.time_ns(), self._last_stamp + 1)
+
+    def wants_frames(self) -> bool:
+        """Whether a frame sent now would be recorded or reach anybody."""
+        return self._log is not None or self._listener.wants_frames()
+
+    def send(self, topic: Topic, data: bytes, stamp: int | None = None) -> None:
+        """Sends at a time of the run [ns since 1970], by default that of the message before.
+
+        A log that cannot be written ends with one warning; sending goes on.
+        """
+        with self._lock:
+            self._last_stamp = stamp or self._last_stamp or time.time_ns()
+            if topic.qos.latched:
+                self._latched[topic] = data
+            if self._log is not None:
+                try:
+                    self._log.write(topic, self._last_stamp, data)
+                except LogError as error:
+                    self._log = None
+                    self._listener.warn(str(error))
+        self._listener.send(topic, data)
+
+    def forget(self, topic: Topic) -> None:
+        """A log that starts from now on does not start with this topic's last message."""
+        with self._lock:
+            self._latched.pop(topic, None)
+
+    def start_log(self, path: str | os.PathLike[str]) -> None:
+        """Records from now on, latched messages first, but for the garment, of which the next frame follows.
+
+        Raises:
+            LogError: a log is being recorded already, or the file cannot be created.
+        """
+        with self._lock:
+            if self._log is not None:
+                raise LogError(f"record: {self._log.path} is being recorded; stop that first")
+            log = LogWriter(path, self._node_name)
+            for topic, data in self._latched.items():
+                if topic != GARMENT:
+                    log.write(topic, self._last_stamp, data)
+            self._log = log
+
+    def stop_log(self) -> Path:
+        """Ends the log; it is complete on return.
+
+        Raises:
+            LogError: nothing is being recorded, or the end cannot be written.
+        """
+        with self._lock:
+            log, self._log = self._log, None
+            if log is None:
+                raise LogError("record: nothing is being recorded; start a recording first")
+            log.close()
+            return log.path

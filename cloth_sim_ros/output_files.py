@@ -1,0 +1,38 @@
+"""Names for new files in the one directory that a node may write to."""
+
+import os
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from cloth_core.errors import ClothError
+
+__all__ = ["free_path"]
+
+LONGEST_NAME = 64
+
+
+def free_path(directory: str | os.PathLike[str], name: str, suffixes: Sequence[str]) -> Path:
+    """Path without suffix, ``<name>_<date>_<time>[_<number>]``, of which no file with one of the suffixes exists yet.
+
+    Whatever `name` holds, the path lies directly in `directory`, which is made if need be.
+
+    Raises:
+        ClothError: the directory cannot be made or looked into.
+    """
+    safe_name = re.sub(r"[^A-Za-z0-9_-]+", "_", name)[:LONGEST_NAME].strip("_") or "garment"
+    stem = f"{safe_name}_{time.strftime('%Y%m%d_%H%M%S')}"
+    folder = Path(directory)
+    number = 1
+    path = folder / stem
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        while any(Path(f"{path}{suffix}").exists() for suffix in suffixes):
+            number += 1
+            path = folder / f"{stem}_{number}"
+    except OSError as error:
+        raise ClothError(
+            f"record_directory '{folder}': {error.strerror}; set it to a directory that can be written"
+        ) from None
+    return path

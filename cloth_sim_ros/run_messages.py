@@ -1,0 +1,51 @@
+"""Messages of one run of the simulator: its clock, and its meshes as markers."""
+
+import numpy as np
+import numpy.typing as npt
+
+from cloth_sim_ros.messages import NANOSECONDS, Color, MarkerEncoder
+
+__all__ = ["BODY_COLOR", "GARMENT_COLOR", "RunMessages"]
+
+GARMENT_COLOR: Color = (0.20, 0.42, 0.65, 1.0)
+BODY_COLOR: Color = (0.80, 0.70, 0.62, 1.0)
+
+
+class RunMessages:
+    """Stamps and encodes what a run sends.
+
+    The stamp of a message is the wall time at which the run started plus the simulated time, so that viewers neither
+    show 1970 nor stretch the motion.
+
+    Args:
+        start: wall time at which the run starts [ns since 1970]
+        frame_id: the coordinate frame of everything [m, z up]
+        garment_color: red, green, blue, alpha from 0 to 1
+        body_color: likewise
+    """
+
+    def __init__(
+        self,
+        start: int,
+        frame_id: str,
+        *,
+        garment_color: Color = GARMENT_COLOR,
+        body_color: Color = BODY_COLOR,
+    ) -> None:
+        self.start = start
+        self._garment = MarkerEncoder(frame_id, "garment", 0, garment_color)
+        self._body = MarkerEncoder(frame_id, "body", 0, body_color)
+
+    def stamp(self, simulated_time: float) -> int:
+        """Nanoseconds since 1970 at `simulated_time` [s] of this run."""
+        return self.start + round(simulated_time * NANOSECONDS)
+
+    def garment(
+        self, simulated_time: float, positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]
+    ) -> bytes:
+        """Marker of the garment with positions [m], (n, 3), and triangles (m, 3) at `simulated_time` [s]."""
+        return self._garment.encode(self.stamp(simulated_time), positions, triangles)
+
+    def body(self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> bytes:
+        """Marker of the body; it does not move, so its stamp is the start of the run."""
+        return self._body.encode(self.start, vertices, triangles)

@@ -1,0 +1,454 @@
+"""Runs one garment at a time in a thread of its own and answers commands at once. Knows no ROS graph.
+
+The simulation thread steps the present run, a few milliseconds a tick. The builder's thread makes the next one; a scene
+that cannot be built leaves the present run as it is, and one that can replaces it between two ticks.
+"""
+
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cloth_core.errors import ClothError, SceneError
+from cloth_core.mesh_files import write_file, write_mesh
+from cloth_core.pattern import Pattern
+from cloth_core.report import Report
+from cloth_core.simulation import Progress
+from cloth_core.springs import spring_strains
+from cloth_sim_ros.diagnostics import run_status
+from cloth_sim_ros.log_writer import LogError
+from cloth_sim_ros.messages import Level, encode_diagnostics, encode_string
+from cloth_sim_ros.outlet import Listener, Outlet
+from cloth_sim_ros.output_files import free_path
+from cloth_sim_ros.run_messages import RunMessages
+from cloth_sim_ros.scene_builder import Run, SceneBuilder
+from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters
+from cloth_sim_ros.topics import BODY, BODY_MARKER, DEFAULT_NODE_NAME, DIAGNOSTICS, GARMENT, PARAMETERS, PATTERN, REPORT
+
+__all__ = ["SimulationWorker", "WorkerSettings"]
+
+CLOSE_TIMEOUT = 5.0
+"""How long closing waits for each thread [s]."""
+STRAIN_INTERVAL = 1.0
+"""Wall-clock time between two measurements of the strain while the garment moves [s]."""
+
+
+@dataclass(frozen=True)
+class WorkerSettings:
+    """Values that act at once."""
+
+    publish_rate: float = 30.0
+    """Frames per second of wall-clock time while the garment moves [Hz]; a step is 1 / publish_rate of simulated time."""
+    auto_start: bool = False
+    """Start a new garment by itself."""
+    record_directory: str = "cloth_sim_records"
+    limits: Limits = field(default_factory=Limits)
+
+
+class _Mode(Enum):
+    PAUSED = "paused"
+    MOTION = "running"
+    DRAPE = "draping"
+    STEP = "stepping"
+
+
+class SimulationWorker:
+    """Drives the simulation by commands from any thread.
+
+    Each command answers with one line on what was accepted, or raises ClothError with one line on why not. What takes
+    longer is done by the worker's threads and shows in `describe`, in the diagnostics and in the listener's lines.
+
+    Args:
+        listener: gets messages and lines
+        node_name: fully qualified; for the topics of logs and the diagnostics
+        parameters: of the first scene
+        settings: act at once
+    """
+
+    def __init__(
+        self,
+        listener: Listener,
+        *,
+        node_name: str = DEFAULT_NODE_NAME,
+        parameters: SceneParameters | None = None,
+        settings: WorkerSettings | None = None,
+    ) -> None:
+        self._listener = listener
+        self._node_name = node_name
+        self._settings = settings or WorkerSettings()
+        self._outlet = Outlet(listener, node_name)
+
+        # Guarded by _wake: what the simulation thread is to do.
+        self._wake = threading.Condition()
+        self._closing = False
+        self._mode = _Mode.PAUSED
+        self._run: Run | None = None
+        self._next_run: Run | None = None
+        self._resetting = False
+        self._tasks: deque[Callable[[Run], None]] = deque()
+
+        # Replaced whole by one thread, read by others without a lock.
+        self._progress: Progress | None = None
+        self._largest_strain: float | None = None
+        self._refusal = ""
+        self._failure = ""
+
+        self._next_frame = 0.0
+        self._next_strain = 0.0
+        self._builder = SceneBuilder(
+            parameters or SceneParameters(), self._settings.limits, self._on_accepted, self._on_refused
+        )
+        self._thread = threading.Thread(target=self._loop, name="cloth_sim simulation", daemon=True)
+        self._thread.start()
+
+    # -- commands ------------------------------------------------------------------------------------------------------
+
+    def load_pattern(self, text: str, name: str = "pattern") -> str:
+        """Takes a GarmentCode pattern (JSON); its garment replaces the present one as soon as it is built."""
+        self._builder.request("pattern", lambda inputs: replace(inputs, pattern=Pattern.from_json(text, name)))
+        return f"{name} received"
+
+    def load_body(
+        self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], name: str = "body"
+    ) -> str:
+        """Takes a body, vertices [m] (n, 3), triangles (m, 3); the garment starts again around it."""
+        self._builder.request(
+            "body", lambda inputs: replace(inputs, body=ReceivedBody.from_arrays(vertices, triangles, name))
+        )
+        return f"{name} received"
+
+    def configure(self, parameters: SceneParameters, settings: WorkerSettings) -> None:
+        """Takes parameters for the next pattern, body or reset, and settings for at once."""
+        self._builder.parameters = parameters
+        self._builder.limits = settings.limits
+        self._settings = settings
+
+    def start(self) -> str:
+        """Lets the garment move, until it is at rest or something else is asked for."""
+        with self._wake:
+            self._need_unfinished_run("start")
+            return self._set_mode(_Mode.MOTION, "running")
+
+    def drape(self) -> str:
+        """Runs to rest, with the extra air drag that calms swinging; a run that is over starts again."""
+        with self._wake:
+            self._need_garment("drape")
+            if self._is_over() and not self._is_building():
+                self._resetting = True
+                self._builder.rebuild()
+            return self._set_mode(_Mode.DRAPE, "draping; the report follows at rest")
+
+    def step(self) -> str:
+        """Moves the garment by one frame, 1 / publish_rate of simulated time, and pauses."""
+        with self._wake:
+            self._need_unfinished_run("step")
+            return self._set_mode(_Mode.STEP, f"one step of {1.0 / self._settings.publish_rate:.4g} s")
+
+    def pause(self) -> str:
+        """Halts the garment where it is."""
+        with self._wake:
+            return self._set_mode(_Mode.PAUSED, "paused")
+
+    def reset(self) -> str:
+        """Puts the garment back to its start, paused, with the parameters as they are now."""
+        with self._wake:
+            self._need_garment("reset")
+            self._resetting = True
+            self._builder.rebuild()
+            return self._set_mode(_Mode.PAUSED, "back at the start, paused")
+
+    def save(self) -> str:
+        """Writes the garment (GLB) and its report (JSON) into the record directory, and sends the report."""
+        with self._wake:
+            if self._run is None:
+                raise SceneError("save: there is no garment yet; publish a pattern first")
+            path = self._new_path((".glb", ".json"))
+            report_path, mesh_path = Path(f"{path}.json"), Path(f"{path}.glb")
+            try:
+                report_path.touch(exist_ok=False)
+            except OSError as error:
+                raise ClothError(f"save: {report_path}: {error.strerror}; set record_directory to another") from None
+            self._add_task(lambda run: self._write_result(run, mesh_path, report_path))
+        return f"saving {mesh_path} and {report_path}"
+
+    def record(self, on: bool) -> str:
+        """Starts or ends a log in the record directory."""
+        if not on:
+            return f"recorded {self._outlet.stop_log()}"
+        path = Path(f"{self._new_path(('.mcap',))}.mcap")
+        self._outlet.start_log(path)
+        with self._wake:
+            self._add_task(self._send_frame)
+        return f"recording {path}"
+
+    def describe(self) -> dict[str, Any]:
+        """State, scene with its terms and their reasons, progress and parameters, as values that JSON can hold."""
+        with self._wake:
+            run, state = self._run, self._state()
+        progress, log_path = self._progress, self._outlet.log_path
+        return {
+            "state": state,
+            "scene": None if run is None else run.description,
+            "progress": None if progress is None else asdict(progress),
+            "largest_strain": self._largest_strain,
+            "parameters": self._builder.parameters.to_dict(),
+            "settings": asdict(self._settings),
+            "recording": None if log_path is None else str(log_path),
+            "refused": self._refusal or None,
+            "report": None if run is None or run.report is None else run.report.to_dict(),
+        }
+
+    def diagnose(self) -> None:
+        """Sends the state of the run as diagnostics."""
+        with self._wake:
+            run, state = self._run, self._state()
+        level, message = Level.OK, state
+        if self._refusal:
+            level, message = Level.WARN, f"{state}; refused: {self._refusal}"
+        if self._failure:
+            level, message = Level.ERROR, self._failure
+        details: dict[str, object] = {"state": state}
+        if run is not None:
+            details |= {
+                "garment": run.scene.garment.name,
+                "particles": run.description["particles"],
+                "triangles": run.description["triangles"],
+                "time step [s]": run.description["time_step"],
+                "largest strain": self._largest_strain,
+            }
+        details["recording"] = self._outlet.log_path or "no"
+        status = run_status(self._node_name, level, message, self._progress, details)
+        self._outlet.send(DIAGNOSTICS, encode_diagnostics(time.time_ns(), [status]))
+
+    def close(self) -> None:
+        """Ends the threads and the log; to be called once."""
+        with self._wake:
+            self._closing = True
+            self._wake.notify_all()
+        self._thread.join(CLOSE_TIMEOUT)
+        self._builder.close(CLOSE_TIMEOUT)
+        if self._outlet.log_path is not None:
+            try:
+                self._listener.inform(f"recorded {self._outlet.stop_log()}")
+            except LogError as error:
+                self._listener.warn(str(error))
+
+    # -- parts of commands; _wake is held ------------------------------------------------------------------------------
+
+    def _need_garment(self, command: str) -> None:
+        if self._run is None and not self._is_building():
+            raise SceneError(f"{command}: there is no garment; publish a pattern first")
+
+    def _need_unfinished_run(self, command: str) -> None:
+        self._need_garment(command)
+        if self._is_over() and not self._is_building():
+            raise SceneError(f"{command}: the run is over; reset it first")
+
+    def _is_building(self) -> bool:
+        # In this order: a run is handed over before the builder ceases to be busy.
+        return self._builder.busy or self._next_run is not None
+
+    def _is_over(self) -> bool:
+        return self._run is not None and self._run.simulation.phase in ("rest", "failed")
+
+    def _set_mode(self, mode: _Mode, answer: str) -> str:
+        self._mode = mode
+        self._wake.notify_all()
+        return f"{answer}, once the garment is built" if self._is_building() else answer
+
+    def _add_task(self, task: Callable[[Run], None]) -> None:
+        self._tasks.append(task)
+        self._wake.notify_all()
+
+    def _state(self) -> str:
+        if self._is_building():
+            return "building"
+        if self._run is None:
+            return "waiting for a pattern"
+        return self._run.simulation.phase if self._is_over() else self._mode.value
+
+    def _new_path(self, suffixes: tuple[str, ...]) -> Path:
+        run = self._run
+        return free_path(
+            self._settings.record_directory, "cloth_sim" if run is None else run.scene.garment.name, suffixes
+        )
+
+    # -- called by the builder, in its thread --------------------------------------------------------------------------
+
+    def _on_accepted(self, inputs: SceneInputs, run: Run | None) -> None:
+        self._refusal = ""
+        if run is None:
+            self._send_body(inputs, self._messages(inputs.parameters))
+            return
+        with self._wake:
+            self._next_run = run
+            self._resetting = False
+            self._wake.notify_all()
+
+    def _on_refused(self, line: str) -> None:
+        self._refusal = line
+        with self._wake:
+            self._resetting = False
+            if self._run is None or self._is_over():
+                self._mode = _Mode.PAUSED
+            self._wake.notify_all()
+        self._listener.warn(line)
+
+    # -- simulation thread ---------------------------------------------------------------------------------------------
+
+    def _loop(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closing or self._next_run or self._has_work())
+                if self._closing:
+                    return
+                new, self._next_run = self._next_run, None
+                if new is not None:
+                    self._run = new
+                    if self._settings.auto_start and self._mode is _Mode.PAUSED:
+                        self._mode = _Mode.MOTION
+                run, mode = self._run, self._mode
+                mode = _Mode.PAUSED if self._resetting else mode
+            assert run is not None
+            try:
+                if new is not None:
+                    self._begin(new)
+                self._move(run, mode)
+            except Exception as error:  # the last good state stays, and the node goes on
+                self._fail(run, error)
+
+    def _has_work(self) -> bool:
+        if self._run is None:
+            return False
+        return bool(self._tasks) or not (self._mode is _Mode.PAUSED or self._resetting or self._is_over())
+
+    def _begin(self, run: Run) -> None:
+        """Sends all that a late joiner or a log needs to know of a new run."""
+        assert run.inputs.pattern is not None
+        self._failure = ""
+        self._outlet.forget(REPORT)
+        parameters = run.inputs.parameters
+        run.messages = self._messages(parameters)
+        start = run.messages.start
+        self._outlet.send(PATTERN, encode_string(run.inputs.pattern.source), start)
+        self._outlet.send(PARAMETERS, encode_string(json.dumps(parameters.to_dict(), sort_keys=True)), start)
+        self._send_body(run.inputs, run.messages)
+        self._send_frame(run)
+        self._next_strain = 0.0
+        self._take_snapshot(run)
+        for warning in run.scene.warnings:
+            self._listener.inform(warning)
+        particles = run.description["particles"]
+        self._listener.inform(f"garment '{run.scene.garment.name}' is ready: {particles} particles")
+
+    def _move(self, run: Run, mode: _Mode) -> None:
+        """Does what the mode asks for until something else is to be done, and the tasks that have come up."""
+        simulation = run.simulation
+        report = None
+        interrupted = self._between_ticks(run, mode)
+        if interrupted or mode is _Mode.PAUSED:
+            pass
+        elif mode is _Mode.STEP:
+            simulation.advance(1.0 / self._settings.publish_rate, lambda _: self._between_ticks(run, mode))
+            self._pause_after(mode)
+        elif mode is _Mode.DRAPE:
+            report = simulation.settle(lambda _: self._between_ticks(run, mode))
+            interrupted = not simulation.settled and self._between_ticks(run, mode)
+        else:
+            while not (interrupted or simulation.settled):
+                simulation.tick()
+                interrupted = self._between_ticks(run, mode)
+            report = simulation.report() if simulation.settled else None
+        self._take_snapshot(run)
+        if simulation.time != run.sent_time:
+            self._send_frame(run)
+        if report is not None and not interrupted:
+            self._pause_after(mode)
+            self._send_report(run, report)
+            self._listener.inform(f"the run ended after {simulation.time:.3g} s: {report.rest_reason}")
+
+    def _pause_after(self, mode: _Mode) -> None:
+        """Pauses, unless another command has come in meanwhile."""
+        with self._wake:
+            if self._mode is mode:
+                self._mode = _Mode.PAUSED
+
+    def _between_ticks(self, run: Run, mode: _Mode) -> bool:
+        """Sends and measures what is due and does the tasks; true if the present motion is to end."""
+        now = time.monotonic()
+        if now >= self._next_frame and run.simulation.time != run.sent_time and self._outlet.wants_frames():
+            self._next_frame = now + 1.0 / self._settings.publish_rate
+            self._send_frame(run)
+        self._take_snapshot(run)
+        with self._wake:
+            tasks, self._tasks = self._tasks, deque()
+        for task in tasks:
+            task(run)
+        with self._wake:
+            return self._closing or self._next_run is not None or self._resetting or self._mode is not mode
+
+    def _take_snapshot(self, run: Run) -> None:
+        self._progress = run.simulation.progress
+        now = time.monotonic()
+        if now >= self._next_strain:
+            self._next_strain = now + STRAIN_INTERVAL
+            positions, _ = run.simulation.sewn_mesh()
+            self._largest_strain = float(spring_strains(positions, run.simulation.model.springs).max(initial=0.0))
+
+    def _fail(self, run: Run, error: Exception) -> None:
+        line = str(error) if isinstance(error, ClothError) else f"{type(error).__name__}: {error}; please report it"
+        self._failure = f"the run failed: {line}"
+        with self._wake:
+            self._mode = _Mode.PAUSED
+        self._progress = run.simulation.progress
+        if run.messages is not None and run.simulation.time != run.sent_time:
+            self._send_frame(run)
+        self._listener.warn(self._failure)
+
+    def _write_result(self, run: Run, mesh_path: Path, report_path: Path) -> None:
+        try:
+            report = run.report or run.simulation.report()
+            self._send_report(run, report)
+            write_file(report_path, report.to_json().encode("utf-8"))
+            write_mesh(mesh_path, *run.simulation.sewn_mesh())
+            self._listener.inform(f"saved {mesh_path} and {report_path}")
+        except ClothError as error:
+            self._listener.warn(str(error))
+
+    # -- messages ------------------------------------------------------------------------------------------------------
+
+    def _messages(self, parameters: SceneParameters) -> RunMessages:
+        return RunMessages(
+            self._outlet.next_start(),
+            parameters.frame_id,
+            garment_color=parameters.garment_color,
+            body_color=parameters.body_color,
+        )
+
+    def _send_body(self, inputs: SceneInputs, messages: RunMessages) -> None:
+        if inputs.body is None:
+            return
+        body = inputs.body.body
+        self._outlet.send(BODY, inputs.body.message, messages.start)
+        self._outlet.send(BODY_MARKER, messages.body(body.vertices, body.triangles), messages.start)
+
+    def _send_frame(self, run: Run) -> None:
+        assert run.messages is not None
+        simulation = run.simulation
+        run.sent_time = simulation.time
+        data = run.messages.garment(simulation.time, simulation.positions, simulation.triangles)
+        self._outlet.send(GARMENT, data, run.messages.stamp(simulation.time))
+
+    def _send_report(self, run: Run, report: Report) -> None:
+        assert run.messages is not None
+        if run.simulation.settled:
+            run.report = report
+        self._outlet.send(REPORT, encode_string(report.to_json()), run.messages.stamp(run.simulation.time))

@@ -1,0 +1,69 @@
+"""Packaging of both Python packages, for pip and for colcon (ament_python). All metadata is stated here and only here."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "cloth_sim_ros"
+
+RUNTIME = [
+    "click>=8.1",
+    "embreex>=2.17.7",
+    "imageio>=2.31",
+    "imageio-ffmpeg>=0.5",
+    "mcap>=1.1",
+    "numba>=0.59",
+    "numpy>=1.26",
+    "pillow>=10.0",
+    "rich>=13.0",
+    "scipy>=1.11.4",
+    "shapely>=2.1",
+    "trimesh>=4.0",
+    "zstandard>=0.22",
+]
+ROS = ["ros-jazzy-common-interfaces>=5.3.6", "ros-jazzy-rclpy[fastrtps]>=7.1.6"]
+TEST = [
+    # The suite as such.
+    "hypothesis>=6.100",
+    "mcap-ros2-support>=0.5",
+    "pytest>=8.0",
+    "rosbags>=0.10",
+    # `colcon build` without apt: the smallest set that builds an ament_python package and shows what failed.
+    "colcon-core>=0.18",
+    "colcon-output>=0.2.13",
+    "colcon-ros>=0.5",
+    "setuptools>=64",
+]
+LINT = ["mypy>=1.10", "ruff>=0.5"]
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Garment simulation with a mass-spring model: sewing pattern and body in, draped cloth, markers and a log out",
+    long_description=open("README.md", encoding="utf-8").read(),  # noqa: SIM115
+    long_description_content_type="text/markdown",
+    author="cloth_sim_ros contributors",
+    maintainer="cloth_sim_ros contributors",
+    maintainer_email="cloth_sim_ros@example.com",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=["cloth_core", "cloth_core.*", "cloth_sim_ros", "cloth_sim_ros.*"]),
+    package_data={
+        "cloth_core": ["py.typed", "data/**/*"],
+        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *((f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*")) for folder in ("launch", "config", "rviz")),
+    ],
+    zip_safe=False,
+    install_requires=RUNTIME,
+    extras_require={"ros": ROS, "test": TEST, "lint": LINT},
+    entry_points={
+        "console_scripts": [
+            "cloth-sim = cloth_sim_ros.command_line:main",
+            "cloth_sim_node = cloth_sim_ros.node:main",
+        ]
+    },
+)
