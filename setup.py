@@ -1,8 +1,9 @@
-"""Packaging of both Python packages, for pip and for colcon (ament_python). All metadata is stated here and only here."""
+"""Packaging of both Python packages, for pip and for colcon (ament_python). All metadata is here and only here."""
 
 from glob import glob
+from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import setup
 
 NAME = "cloth_sim_ros"
 
@@ -39,15 +40,15 @@ LINT = ["mypy>=1.10", "ruff>=0.5"]
 setup(
     name=NAME,
     version="0.1.0",
-    description="Garment simulation with a mass-spring model: sewing pattern and body in, draped cloth, markers and a log out",
-    long_description=open("README.md", encoding="utf-8").read(),  # noqa: SIM115
+    description="Garment simulation by particles and springs: sewing pattern and body in, cloth at rest and a log out",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     author="cloth_sim_ros contributors",
     maintainer="cloth_sim_ros contributors",
     maintainer_email="cloth_sim_ros@example.com",
     license="Apache-2.0",
     python_requires=">=3.10",
-    packages=find_packages(include=["cloth_core", "cloth_core.*", "cloth_sim_ros", "cloth_sim_ros.*"]),
+    packages=["cloth_core", "cloth_sim_ros"],
     package_data={
         "cloth_core": ["py.typed", "data/**/*"],
         "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*"],

@@ -10,8 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cloth_core.kernel import inlined_kernel, kernel
 
 __all__ = ["AabbTree", "boxes_overlap", "build_tree", "overlapping_pairs", "refit_tree"]
 
@@ -48,7 +49,7 @@ def build_tree(vertices: Floats, triangles: Ints) -> AabbTree:
     return tree
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _select(order: Ints, key: Floats, first: int, last: int, middle: int) -> None:
     """Partially sort order[first:last] by (key, index) so that position `middle` holds what sorting would put there."""
     low, high = first, last - 1
@@ -72,7 +73,7 @@ def _select(order: Ints, key: Floats, first: int, last: int, middle: int) -> Non
             return
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _split(centres: Floats) -> tuple[Ints, Ints]:
     count = centres.shape[0]
     nodes = max(2 * count - 1, 0)
@@ -102,7 +103,7 @@ def _split(centres: Floats) -> tuple[Ints, Ints]:
     return right, leaf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float) -> None:
     """Recompute all boxes, each enlarged by margin [m] on every side; vertices (n, 3) [m], triangles (t, 3)."""
     for node in range(tree.triangle.shape[0] - 1, -1, -1):
@@ -118,7 +119,7 @@ def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float)
                 tree.upper[node, k] = max(tree.upper[left, k], tree.upper[right, k])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def boxes_overlap(one: AabbTree, i: int, other: AabbTree, j: int) -> bool:
     """Whether box i of one tree and box j of the other have a point in common."""
     return bool(
@@ -131,7 +132,7 @@ def boxes_overlap(one: AabbTree, i: int, other: AabbTree, j: int) -> bool:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints) -> int:
     """Double traversal: all (cloth triangle, body triangle) whose boxes overlap, in a fixed order.
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
+from cloth_core.kernel import kernel
 
 __all__ = ["Bending", "bending_forces", "build_bending", "hinges"]
 
@@ -73,7 +73,7 @@ def build_bending(garment: Garment, fabric: Fabric, number: Ints) -> Bending:
     """Bending elements between the particles `number[i]` (sewn ones when seams are merged), shape of number (n,)."""
     rest = garment.rest
     lines, stiffness = [], []
-    for triples, along, across in ((garment.rows, 0, 1), (garment.columns, 1, 0)):
+    for triples, along in ((garment.rows, 0), (garment.columns, 1)):
         if len(triples) == 0:
             continue
         spacing = (rest[triples[:, 2], along] - rest[triples[:, 0], along]) / 2.0
@@ -88,21 +88,18 @@ def build_bending(garment: Garment, fabric: Fabric, number: Ints) -> Bending:
     in_grid = garment.in_quad[sides].all(axis=1) & same_panel
     hinge, sides = hinge[~in_grid], sides[~in_grid]
     weights, hinge_stiffness = _hinge_elements(garment, hinge, sides, number, fabric.bending)
-    return Bending(
-        np.asarray(number[line_index], dtype=np.int32), line_stiffness, hinge, weights, hinge_stiffness
-    )
+    return Bending(np.asarray(number[line_index], dtype=np.int32), line_stiffness, hinge, weights, hinge_stiffness)
 
 
 def _node_areas(garment: Garment) -> Floats:
     """Area of whole cells around each particle [m^2], shape (n,): a quarter of each cell."""
     a, b, _, d = garment.quads.T
     cell = (garment.rest[b, 0] - garment.rest[a, 0]) * (garment.rest[d, 1] - garment.rest[a, 1])
-    return np.bincount(garment.quads.ravel(), weights=np.repeat(cell / 4.0, 4), minlength=len(garment.rest))
+    weights = np.repeat(cell / 4.0, 4)
+    return np.bincount(garment.quads.ravel(), weights=weights, minlength=len(garment.rest)).astype(np.float64)
 
 
-def _hinge_elements(
-    garment: Garment, hinge: Ints, sides: Ints, number: Ints, bending: float
-) -> tuple[Floats, Floats]:
+def _hinge_elements(garment: Garment, hinge: Ints, sides: Ints, number: Ints, bending: float) -> tuple[Floats, Floats]:
     """Weights and stiffness of the quadratic hinge energy B |K x|^2 / (2 (A0 + A1)) (weights: Bergou et al. 2006).
 
     |K x| is side length times angle, so this is B |e| angle^2 / (h1 + h2), right for a strip of right-angled triangles
@@ -126,7 +123,7 @@ def _hinge_elements(
     return weights, bending / area
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def bending_forces(
     x: Floats,
     v: Floats,

@@ -8,12 +8,12 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.closest_points import point_triangle
 from cloth_core.errors import BodyError
+from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import Representatives, representatives, unique_edges
 
 __all__ = ["Body", "builtin_bodies"]
@@ -171,7 +171,7 @@ def builtin_bodies() -> list[str]:
     return sorted(entry.name[:-4] for entry in folder.iterdir() if entry.name.endswith(".ply"))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _box_distance(tree: AabbTree, node: int, p: Floats) -> float:
     squared = 0.0
     for k in range(3):
@@ -180,7 +180,7 @@ def _box_distance(tree: AabbTree, node: int, p: Floats) -> float:
     return squared
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _signed_distances(
     points: Floats,
     vertices: Floats,
@@ -220,18 +220,20 @@ def _signed_distances(
             stack[top + 1] = right
             top += 2
         inner = 0
+        corner, without = 0, 0
         for k in range(3):
-            inner += weights[k] > 1e-9
-        if inner == 3:
-            normal[:] = face_normals[nearest]
-        elif inner == 1:
-            for k in range(3):
-                if weights[k] > 1e-9:
-                    normal[:] = vertex_normals[triangles[nearest, k]]
-        else:
-            for k in range(3):  # the side opposite to the corner without weight joins the next two corners
-                if weights[k] <= 1e-9:
-                    normal[:] = edge_normals[triangle_edges[nearest, (k + 1) % 3]]
+            if weights[k] > 1e-9:
+                inner += 1
+                corner = k
+            else:
+                without = k
+        for axis in range(3):
+            if inner == 3:
+                normal[axis] = face_normals[nearest, axis]
+            elif inner == 1:
+                normal[axis] = vertex_normals[triangles[nearest, corner], axis]
+            else:  # the side opposite to the corner without weight joins the next two corners
+                normal[axis] = edge_normals[triangle_edges[nearest, (without + 1) % 3], axis]
         side = 0.0
         for k in range(3):
             closest = 0.0

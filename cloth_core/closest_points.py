@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cloth_core.kernel import inlined_kernel, kernel
 
 __all__ = ["point_triangle", "segment_segment"]
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, inline="never")
+@kernel
 def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
     """Squared distance [m^2] of p to triangle abc and the barycentric coordinates of its closest point; all (3,)."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -53,14 +54,14 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
     return _squared(apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz), 1.0 - v - w, v, w
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _squared(x: float, y: float, z: float) -> float:
     return x * x + y * y + z * z
 
 
-@njit(cache=True, nogil=True, inline="never")
+@kernel
 def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
-    """Squared distance [m^2] of segments pq and ab and where the closest points lie (s along pq, t along ab); all (3,)."""
+    """Squared distance [m^2] of segments pq and ab; where the closest points lie, s along pq, t along ab; all (3,)."""
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     wx, wy, wz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     rx, ry, rz = p[0] - a[0], p[1] - a[1], p[2] - a[2]

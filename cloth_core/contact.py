@@ -1,9 +1,9 @@
 """Contact of cloth with a body: nothing can pass through, at any speed and time step.
 
-*Search* (rarely): the double traversal of the AABB trees finds every vertex-triangle, triangle-vertex and edge-edge pair
-within reach, and from their distances a bound on how far each particle may travel before the next search: less than
-its distance to the body, so that it cannot have crossed (the displacement bound of offset geometric contact, Chen et
-al. 2025; the body stands still, so the cloth may use nearly the whole gap).
+*Search* (rarely): the double traversal of the AABB trees finds every vertex-triangle, triangle-vertex and edge-edge
+pair within reach, and from their distances a bound on how far each particle may travel before the next search: less
+than its distance to the body, so that it cannot have crossed (the displacement bound of offset geometric contact, Chen
+et al. 2025; the body stands still, so the cloth may use nearly the whole gap).
 
 *Response* (each step): a contact holds its particle at the offset by removing the approaching velocity, with Coulomb
 friction bounded by the same impulse (Moreau's time stepping). There is no contact stiffness: the stable time step does
@@ -15,13 +15,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree, overlapping_pairs, refit_tree
 from cloth_core.body import Body
 from cloth_core.closest_points import point_triangle, segment_segment
 from cloth_core.intersections import crossing_edges
+from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives, representatives
 
 __all__ = ["BodyContact", "ContactPairs", "no_contact_pairs", "resolve_contacts"]
@@ -163,7 +163,7 @@ def no_contact_pairs() -> ContactPairs:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _narrow_phase(
     x: Floats,
     triangles: Ints,
@@ -198,7 +198,7 @@ def _narrow_phase(
                 if squared < vertex_limit:
                     gap[i] = min(gap[i], np.sqrt(squared))
                     if vertex_count == vertex_pairs.shape[0]:
-                        vertex_pairs = np.concatenate((vertex_pairs, np.empty_like(vertex_pairs)))
+                        vertex_pairs = _doubled(vertex_pairs)
                     vertex_pairs[vertex_count, 0] = i
                     vertex_pairs[vertex_count, 1] = bt
                     vertex_count += 1
@@ -246,14 +246,26 @@ def _narrow_phase(
     return vertex_pairs[:vertex_count].copy(), sides[:side_count].copy(), side_distance[:side_count].copy(), gap
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _with_room(sides: Ints, distance: Floats, count: int) -> tuple[Ints, Floats]:
     if count < sides.shape[0]:
         return sides, distance
-    return np.concatenate((sides, np.empty_like(sides))), np.concatenate((distance, np.empty_like(distance)))
+    longer = np.empty(2 * count)
+    for i in range(count):
+        longer[i] = distance[i]
+    return _doubled(sides), longer
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _doubled(rows: Ints) -> Ints:
+    longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=np.int32)
+    for i in range(rows.shape[0]):
+        for k in range(rows.shape[1]):
+            longer[i, k] = rows[i, k]
+    return longer
+
+
+@kernel
 def keep_within_travel(x: Floats, pairs: ContactPairs, moved: Floats) -> bool:
     """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound."""
     spent = False
@@ -275,7 +287,7 @@ def keep_within_travel(x: Floats, pairs: ContactPairs, moved: Floats) -> bool:
     return spent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _renew_planes(
     i: int, x: Floats, pairs: ContactPairs, body_x: Floats, body_triangles: Ints, offset: float, slack: float
 ) -> None:
@@ -294,7 +306,9 @@ def _renew_planes(
         gap = distance - offset
         slot = -1
         for k in range(count):
-            along = nx * pairs.plane_normal[i, k, 0] + ny * pairs.plane_normal[i, k, 1] + nz * pairs.plane_normal[i, k, 2]
+            along = (
+                nx * pairs.plane_normal[i, k, 0] + ny * pairs.plane_normal[i, k, 1] + nz * pairs.plane_normal[i, k, 2]
+            )
             if along > 0.97:
                 slot = k
                 break
@@ -313,10 +327,11 @@ def _renew_planes(
             pairs.plane_normal[i, slot, 1] = ny
             pairs.plane_normal[i, slot, 2] = nz
     pairs.plane_count[i] = count
-    pairs.plane_at[i] = x[i]
+    for axis in range(3):
+        pairs.plane_at[i, axis] = x[i, axis]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def resolve_contacts(
     x: Floats,
     v: Floats,
@@ -344,7 +359,7 @@ def resolve_contacts(
     return keep_within_travel(x, pairs, moved) or spent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hold_vertices(
     x: Floats,
     v: Floats,
@@ -396,11 +411,11 @@ def _hold_vertices(
                 x[i, 2] += push * nz - hold * tz * dt
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _push(gap: float, approach: float, push_speed: float, dt: float) -> float:
     """How far to move along the normal [m]: back to where the step began, and if that is too near a little farther.
 
-    What is too near comes out exponentially, at most at push_speed: a jump would stretch the springs and stir the cloth.
+    What is too near comes out exponentially, at most at push_speed: a jump would stretch the springs and stir it up.
     """
     before = gap - dt * approach
     if before < 0.0:
@@ -408,7 +423,7 @@ def _push(gap: float, approach: float, push_speed: float, dt: float) -> float:
     return float(min(0.0, before) - gap)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _repeat_side_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: ContactPairs, dt: float) -> None:
     """Give each side contact what it needed in the last step.
 
@@ -423,10 +438,8 @@ def _repeat_side_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: Con
         _apply(x, v, inverse_mass, pairs, s, impulse, dt)
 
 
-@njit(cache=True, nogil=True)
-def _apply(
-    x: Floats, v: Floats, inverse_mass: Floats, pairs: ContactPairs, s: int, impulse: Floats, dt: float
-) -> None:
+@kernel
+def _apply(x: Floats, v: Floats, inverse_mass: Floats, pairs: ContactPairs, s: int, impulse: Floats, dt: float) -> None:
     """Apply an impulse (3,) [N s] at the closest point of side contact s."""
     for k in range(3):
         i = pairs.sides[s, k]
@@ -438,7 +451,7 @@ def _apply(
             x[i, axis] += share * impulse[axis] * dt
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _hold_sides(
     x: Floats,
     v: Floats,
@@ -451,7 +464,7 @@ def _hold_sides(
     dt: float,
     moved: Floats,
 ) -> None:
-    """Cloth sides against body sides and cloth triangles against body vertices, by sweeps of impulses that only push."""
+    """Cloth sides against body sides, cloth triangles against body vertices: sweeps of impulses that only push."""
     count = 0
     for s in range(pairs.sides.shape[0]):
         p, q, r = pairs.sides[s, 0], pairs.sides[s, 1], pairs.sides[s, 2]
@@ -492,7 +505,8 @@ def _hold_sides(
         for entry in range(count):
             s = pairs.side_active[entry]
             compliance = 0.0
-            velocity[:] = 0.0
+            for axis in range(3):
+                velocity[axis] = 0.0
             for k in range(3):
                 i = pairs.sides[s, k]
                 if i >= 0:
@@ -541,7 +555,7 @@ def _hold_sides(
                     x[i, axis] += share * push * pairs.side_normal[s, axis]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined_kernel
 def _approach(v: Floats, pairs: ContactPairs, s: int) -> float:
     """Normal velocity of the cloth's closest point of side contact s [m/s], negative towards the body."""
     speed = 0.0

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cloth_core.kernel import kernel
 
 __all__ = ["semi_implicit_euler"]
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def semi_implicit_euler(x: Floats, v: Floats, force: Floats, inverse_mass: Floats, dt: float) -> None:
     """a = F(t) / m; v(t + dt) = v(t) + dt a; x(t + dt) = x(t) + dt v(t + dt), in place.
 

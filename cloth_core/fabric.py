@@ -67,7 +67,9 @@ class Fabric:
         for key, (low, high) in _RANGES.items():
             value = getattr(self, key)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-                raise FabricError(f"fabric '{self.name}', {key}: {value!r} is no finite number; give a value in SI units")
+                raise FabricError(
+                    f"fabric '{self.name}', {key}: {value!r} is no finite number; give a value in SI units"
+                )
             if not low <= value <= high:
                 raise FabricError(
                     f"fabric '{self.name}', {key}: {value:g} lies outside {low:g} to {high:g}; give it in SI units"

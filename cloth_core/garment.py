@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ class Garment:
         panel_normals: outward normals of the panels at the start, shape (p, 3).
         outline: for each panel the particle indices of its outline, in loop order.
         seams: the matched stitches.
-        merged_indices: for each particle the number of the particle that it becomes once everything is sewn, shape (n,).
+        merged_indices: for each particle the number of the one that it becomes once everything is sewn, (n,).
         spacing: lattice spacing asked for [m].
         warnings: one line each.
     """
@@ -85,6 +86,12 @@ class Garment:
         return np.asarray(np.abs(u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / 2.0, dtype=np.float64)
 
     @property
+    def particle_areas(self) -> Floats:
+        """A third of the area of the triangles around each particle [m^2], shape (n,)."""
+        share = np.repeat(self.areas / 3.0, 3)
+        return np.bincount(self.triangles.ravel(), weights=share, minlength=len(self.rest)).astype(np.float64)
+
+    @property
     def particle_count(self) -> int:
         """Number of particles before sewing."""
         return len(self.rest)
@@ -93,7 +100,7 @@ class Garment:
     def from_pattern(cls, pattern: Pattern, spacing: float) -> Garment:
         """Discretise a pattern (steps 1 and 2 of the paper).
 
-        Each edge is cut into ceil(length / spacing) equal parts; the two edges of a stitch take the count of the longer.
+        Each edge is cut into ceil(length / spacing) equal parts; both edges of a stitch take the longer one's count.
 
         Args:
             pattern: the checked pattern.
@@ -112,9 +119,7 @@ class Garment:
             )
         counts = _edge_counts(pattern, spacing)
         meshes = {
-            name: mesh_panel(
-                name, [edge.curve.sample(counts[name, i]) for i, edge in enumerate(panel.edges)], spacing
-            )
+            name: mesh_panel(name, [edge.curve.sample(counts[name, i]) for i, edge in enumerate(panel.edges)], spacing)
             for name, panel in pattern.panels.items()
         }
         return cls._assemble(pattern, meshes, spacing)
@@ -127,7 +132,7 @@ class Garment:
         starts = np.concatenate([[0], np.cumsum([g.particle_count for g in garments])]).astype(np.int32)
         panels = np.concatenate([[0], np.cumsum([len(g.panel_names) for g in garments])]).astype(np.int32)
         sewn = np.concatenate([[0], np.cumsum([int(g.merged_indices.max()) + 1 for g in garments])]).astype(np.int32)
-        shifted = {
+        shifted: dict[str, Any] = {
             key: np.concatenate([getattr(g, key) + by[k] for k, g in enumerate(garments)]).astype(np.int32)
             for key, by in (
                 ("triangles", starts),
@@ -139,7 +144,7 @@ class Garment:
                 ("merged_indices", sewn),
             )
         }
-        plain = {
+        plain: dict[str, Any] = {
             key: np.concatenate([getattr(g, key) for g in garments])
             for key in ("rest", "start", "in_quad", "panel_normals")
         }
@@ -163,7 +168,7 @@ class Garment:
         names = tuple(meshes)
         sizes = [len(meshes[name].points) for name in names]
         first = dict(zip(names, np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(int), strict=True))
-        stack = {
+        stack: dict[str, Any] = {
             key: np.concatenate([getattr(meshes[name], key) + first[name] for name in names]).astype(np.int32)
             for key in ("triangles", "quads", "rows", "columns")
         }
@@ -182,8 +187,8 @@ class Garment:
         if closed.any():
             where = names[panel_of_triangle[np.flatnonzero(closed)[0]]]
             raise GarmentError(
-                f"panel '{where}': the stitches would join two corners of one triangle at {1000 * spacing:g} mm spacing; "
-                "use a smaller spacing or remove a stitch"
+                f"panel '{where}': the stitches would join two corners of one triangle at {1000 * spacing:g} mm "
+                "spacing; use a smaller spacing or remove a stitch"
             )
         angles = smallest_angles(rest, triangles)
         warnings = list(pattern.warnings)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cloth_core.kernel import kernel
 
 __all__ = ["air_drag_forces", "gravity_forces"]
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gravity_forces(mass: Floats, gravity: Floats, force: Floats) -> None:
     """Set the force to m g; mass (n,) [kg], gravity (3,) [m/s^2], force (n, 3) [N]."""
     for i in range(mass.shape[0]):
@@ -19,7 +20,7 @@ def gravity_forces(mass: Floats, gravity: Floats, force: Floats) -> None:
             force[i, axis] = mass[i] * gravity[axis]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def air_drag_forces(v: Floats, mass: Floats, air_drag: float, force: Floats) -> None:
     """Add -m k_a v; v (n, 3) [m/s], mass (n,) [kg], air_drag k_a [1/s], force (n, 3) [N].
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree
+from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
 
 __all__ = ["crossing_edges", "self_crossing_edges"]
@@ -38,7 +38,7 @@ def self_crossing_edges(vertices: Floats, triangles: Ints) -> Ints:
     return edges[hit]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _edges_through(
     x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, same_mesh: bool
 ) -> NDArray[np.bool_]:
@@ -68,13 +68,14 @@ def _edges_through(
                 top += 2
                 continue
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            if same_mesh and (a in (edges[e, 0], edges[e, 1]) or b in (edges[e, 0], edges[e, 1]) or c in (edges[e, 0], edges[e, 1])):
+            i, j = edges[e, 0], edges[e, 1]
+            if same_mesh and (i == a or i == b or i == c or j == a or j == b or j == c):
                 continue
             hit[e] = _segment_crosses(p, q, vertices[a], vertices[b], vertices[c])
     return hit
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Whether pq passes through the inside of abc, by the signs of five tetrahedra's volumes."""
     above, below = _volume(a, b, c, p), _volume(a, b, c, q)
@@ -84,7 +85,7 @@ def _segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> b
     return bool((u > 0.0 and v > 0.0 and w > 0.0) or (u < 0.0 and v < 0.0 and w < 0.0))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _volume(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
     """Six times the signed volume of the tetrahedron abcd [m^3]."""
     bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]

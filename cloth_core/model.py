@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.bending import Bending, bending_forces, build_bending
 from cloth_core.contact import BodyContact
 from cloth_core.errors import SceneError
-from cloth_core.garment import Garment, Seam, merged_numbers
+from cloth_core.garment import Seam, merged_numbers
+from cloth_core.kernel import kernel
 from cloth_core.scene import Scene
 from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
@@ -71,7 +71,7 @@ class Model:
             self.triangles.ravel(),
             weights=np.repeat(garment.areas * fabric.area_density / 3.0, 3),
             minlength=self.particle_count,
-        )
+        ).astype(np.float64)
         if (self.mass <= 0.0).any():
             bad = int(np.flatnonzero(self.number == np.flatnonzero(self.mass <= 0.0)[0])[0])
             where = garment.panel_names[garment.panel_of_particle[bad]]
@@ -79,9 +79,7 @@ class Model:
         self.inverse_mass = 1.0 / self.mass
         self.inverse_mass[self.number[scene.pins]] = 0.0
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
-        self.bending: Bending | None = (
-            build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
-        )
+        self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
@@ -92,7 +90,7 @@ class Model:
         )
         self.terms = self._terms(closed)
 
-    # -- arrays for the compiled loop ----------------------------------------------------------------------------------
+    # -- arrays for the compiled loop --
 
     def force_terms(self, air_drag: float) -> ForceTerms:
         """The force terms' arrays; air_drag k_a [1/s] is the scene's, or more while a run only looks for rest."""
@@ -130,7 +128,7 @@ class Model:
             push_speed=self.scene.settings.push_speed,
         )
 
-    # -- states --------------------------------------------------------------------------------------------------------
+    # -- states --
 
     def gather(self, unsewn: Floats, weights: Floats) -> Floats:
         """Weighted mean over the unsewn particles that each model particle stands for; (n, 3), (n,) -> (k, 3)."""
@@ -143,9 +141,11 @@ class Model:
             axis=1,
         )
 
-    # -- stability -----------------------------------------------------------------------------------------------------
+    # -- stability --
 
-    def stable_step(self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 2e-3) -> StableStep:
+    def stable_step(
+        self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 2e-3
+    ) -> StableStep:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
         still = np.zeros_like(x)
         terms = self.force_terms(air_drag)
@@ -180,7 +180,7 @@ class Model:
         """Time step [s] to use: the settings' share of the stable one, and no longer than is sensible without one."""
         return min(self.scene.settings.safety * stable.time_step, _LONGEST_STEP)
 
-    # -- what is modelled, and why -------------------------------------------------------------------------------------
+    # -- what is modelled, and why --
 
     def _terms(self, closed: tuple[Seam, ...]) -> tuple[Term, ...]:
         scene, fabric = self.scene, self.scene.fabric
@@ -243,7 +243,7 @@ _NO_BENDING = Bending(
 _NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), 0.0, 0.0, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _spring_stiffness(x: Floats, u: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats, out: Floats) -> None:
     """Add K u of all springs at x: k d d' along each spring and, where it is stretched, k (1 - L0 / L) across it."""
     for s in range(pairs.shape[0]):
@@ -266,7 +266,7 @@ def _spring_stiffness(x: Floats, u: Floats, pairs: Ints, rest_length: Floats, st
         out[j, 2] += fz
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _pair_laplacian(u: Floats, pairs: Ints, out: Floats) -> None:
     """Add the graph Laplacian of the pairs: an upper bound for a pull in any direction; u, out (k, 3)."""
     for s in range(pairs.shape[0]):

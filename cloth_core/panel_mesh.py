@@ -8,6 +8,7 @@ triangles, so that outlines are exact and the points of two stitched edges match
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,11 +112,12 @@ def mesh_panel(name: str, edges: list[Floats], spacing: float) -> PanelMesh:
 
 
 def _lattice_mesh(
-    polygon: object, outline: Floats, spacing: float, phase: tuple[float, float], clearance: float
+    polygon: Any, outline: Floats, spacing: float, phase: tuple[float, float], clearance: float
 ) -> tuple[Floats, Ints, Ints, Ints, Ints] | None:
     """One trial: lattice with a phase (in cells) and a clearance (in spacings); None where it does not conform."""
     import shapely
 
+    area = float(shapely.area(polygon))
     low, high = outline.min(axis=0), outline.max(axis=0)
     cells = np.maximum(np.ceil((high - low) / spacing - 1e-6).astype(int), 1)
     step = (high - low) / cells
@@ -140,11 +142,11 @@ def _lattice_mesh(
 
     ids = node_id.reshape(ny, nx)
     corners = np.stack([ids[:-1, :-1], ids[:-1, 1:], ids[1:, 1:], ids[1:, :-1]], axis=-1)
-    whole = (corners >= 0).all(axis=-1)
+    whole: NDArray[np.bool_] = np.asarray((corners >= 0).all(axis=-1))
     cy, cx = np.nonzero(whole)
-    shrink = 1e-4
-    boxes = shapely.box(*(origin + (np.stack([cx, cy], 1) + shrink) * step).T, *(origin + (np.stack([cx, cy], 1) + 1 - shrink) * step).T)
-    clear = ~shapely.intersects(boundary, boxes) & shapely.contains_xy(polygon, origin + (np.stack([cx, cy], 1) + 0.5) * step)
+    cell = np.stack([cx, cy], axis=1)
+    middle = shapely.contains_xy(polygon, origin + (cell + 0.5) * step)
+    clear = middle & ~shapely.intersects(boundary, _cell_boxes(origin, step, cell, shrink=1e-4))
     whole[cy[~clear], cx[~clear]] = False
     cy, cx = cy[clear], cx[clear]
     quads = corners[cy, cx].astype(np.int32).reshape(-1, 4)
@@ -152,13 +154,12 @@ def _lattice_mesh(
     band = _delaunay_band(polygon, points, origin, step, whole)
     a, b, c, d = quads.T
     even = ((cx + cy) % 2 == 0)[:, None]
-    halves = np.concatenate(
-        [np.where(even, np.stack([a, b, c], 1), np.stack([a, b, d], 1)), np.where(even, np.stack([a, c, d], 1), np.stack([b, c, d], 1))],
-        axis=1,
-    ).reshape(-1, 3)
+    first = np.where(even, np.stack([a, b, c], 1), np.stack([a, b, d], 1))
+    second = np.where(even, np.stack([a, c, d], 1), np.stack([b, c, d], 1))
+    halves = np.concatenate([first, second], axis=1).reshape(-1, 3)
     triangles = np.vstack([halves, band]).astype(np.int32)
-    if not _conforms(points, triangles, len(outline), float(polygon.area)):  # type: ignore[attr-defined]
-        remainder = polygon.difference(shapely.union_all(shapely.box(*(origin + np.stack([cx, cy], 1) * step).T, *(origin + np.stack([cx + 1, cy + 1], 1) * step).T)))  # type: ignore[attr-defined]
+    if not _conforms(points, triangles, len(outline), area):
+        remainder = shapely.difference(polygon, shapely.union_all(_cell_boxes(origin, step, cell[clear])))
         constrained = _constrained_band(remainder, points)
         if constrained is None:
             return None
@@ -169,7 +170,7 @@ def _lattice_mesh(
         renumber = (np.cumsum(used) - 1).astype(np.int32)
         points, triangles, quads = points[used], renumber[triangles], renumber[quads]
         ids = np.where((ids >= 0) & used[np.maximum(ids, 0)], renumber[np.maximum(ids, 0)], -1)
-        if not _conforms(points, triangles, len(outline), float(polygon.area)):  # type: ignore[attr-defined]
+        if not _conforms(points, triangles, len(outline), area):
             return None
 
     # Triples in line whose two links are both sides of whole cells.
@@ -184,7 +185,15 @@ def _lattice_mesh(
     return points, triangles, quads, rows, columns
 
 
-def _delaunay_band(polygon: object, points: Floats, origin: Floats, step: Floats, whole: NDArray[np.bool_]) -> Ints:
+def _cell_boxes(origin: Floats, step: Floats, cell: NDArray[np.integer], shrink: float = 0.0) -> Any:
+    """The lattice cells (k, 2) as boxes, made smaller by a share of the step on each side."""
+    import shapely
+
+    low, high = origin + (cell + shrink) * step, origin + (cell + 1 - shrink) * step
+    return shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
+
+
+def _delaunay_band(polygon: Any, points: Floats, origin: Floats, step: Floats, whole: NDArray[np.bool_]) -> Ints:
     """Delaunay triangles that lie inside the panel but in no whole cell, counter-clockwise, shape (k, 3)."""
     import shapely
     from scipy.spatial import Delaunay
@@ -206,7 +215,7 @@ def _delaunay_band(polygon: object, points: Floats, origin: Floats, step: Floats
     return np.asarray(band[np.lexsort(band.T[::-1])], dtype=np.int32)
 
 
-def _constrained_band(remainder: object, points: Floats) -> Ints | None:
+def _constrained_band(remainder: Any, points: Floats) -> Ints | None:
     """Constrained Delaunay triangulation of what the whole cells leave over, as indices into points."""
     import shapely
     from scipy.spatial import KDTree
@@ -221,7 +230,7 @@ def _constrained_band(remainder: object, points: Floats) -> Ints | None:
     triangles = index.reshape(-1, 3).astype(np.int32)
     area = _doubled_areas(points, triangles)
     triangles[area < 0] = triangles[area < 0][:, ::-1]
-    return triangles[area != 0]
+    return np.asarray(triangles[area != 0], dtype=np.int32)
 
 
 def _doubled_areas(points: Floats, triangles: Ints) -> Floats:

@@ -37,7 +37,7 @@ _INK, _FAINT_INK = (59, 60, 66), (125, 127, 133)
 _GROUND_CELLS, _GROUND_RAYS, _GROUND_DARKNESS = 56, 256, 0.85
 _CONTRAST = 0.035  # of the square root of light, which is about even to the eye
 _RAYS_AT_A_TIME = 1 << 18
-_SMALLEST, _LARGEST = 16, 16384
+_SMALLEST, _LARGEST, _NAMED_FROM = 16, 16384, 180  # pixels
 
 
 class Renderer:
@@ -309,21 +309,22 @@ def _uneven(light: Floats) -> NDArray[np.bool_]:
 
 
 def _footer(views: Sequence[str], caption: str | None, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The strip (k, width, 3) below the views: their names, if there are several, and the caption."""
+    """The strip (k, width, 3) below the views: their names, if there are several and there is room, and the caption."""
     width, height = size
-    if len(views) == 1 and not caption:
+    named = len(views) > 1 and height >= _NAMED_FROM
+    if not named and not caption:
         return np.empty((0, width, 3), dtype=np.uint8)
     from PIL import Image, ImageDraw, ImageFont
 
     small, large = max(10, height // 62), max(11, height // 50)
     lines = [line.strip() for line in (caption or "").splitlines() if line.strip()]
-    names_height = 1.5 * small if len(views) > 1 else 0.0
+    names_height = 1.5 * small if named else 0.0
     strip = round(0.6 * large + names_height + 1.5 * large * len(lines))
     if 3 * strip > height:
         raise ClothError(f"picture: {width} x {height} pixels leave no room for the caption; make it larger")
     image = Image.new("RGB", (width, strip), tuple(np.rint(255 * _BOTTOM).astype(int).tolist()))
     pen = ImageDraw.Draw(image)
-    if len(views) > 1:
+    if named:
         font = ImageFont.load_default(small)
         for index, view in enumerate(views):
             place = ((index + 0.5) * width / len(views), 0.3 * large + names_height / 2)

@@ -25,7 +25,8 @@ class Report:
         max_strain: largest extension of a structural spring; mean_strain: mean magnitude over all of them.
         max_shear_strain: largest extension of a shear spring.
         strain_limit: of the fabric; a larger max_strain gives a warning.
-        max_seam_gap: largest distance of two points to be sewn [m]; open_seams: those above the tolerance, with gap [m].
+        max_seam_gap: largest distance of two points to be sewn [m].
+        open_seams: the seams above the tolerance, with their gaps [m].
         body_intersections: cloth sides that cross a body triangle.
         self_intersections: cloth sides that cross a cloth triangle.
         max_penetration: depth of the deepest particle inside the body [m]; 0 if none is.

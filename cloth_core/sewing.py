@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
+from cloth_core.kernel import kernel
 
 __all__ = ["SeamPull", "build_seam_pull", "seam_forces", "seam_gaps"]
 
@@ -59,7 +59,7 @@ def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats) -> SeamPull:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Floats) -> None:
     """Pull both ends of each pair to openness * start_length; x, v, force (n, 3) [m, m/s, N]."""
     for s in range(seam.pairs.shape[0]):

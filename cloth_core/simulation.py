@@ -91,11 +91,12 @@ class Simulation:
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
         self._speed = 0.0
-        self._use(Model(scene, sewing=bool(scene.garment.seams)), scene.garment.start, np.zeros((scene.garment.particle_count, 3)))
+        garment = scene.garment
+        self._use(Model(scene, sewing=bool(garment.seams)), garment.start, np.zeros_like(garment.start))
         self.phase = SEWING if scene.garment.seams else DRAPING
         self._wall += time.perf_counter() - began
 
-    # -- what others read ----------------------------------------------------------------------------------------------
+    # -- what others read --
 
     @property
     def triangles(self) -> Ints:
@@ -126,7 +127,7 @@ class Simulation:
         """Last estimate of the largest stable time step."""
         return self._stable
 
-    # -- running -------------------------------------------------------------------------------------------------------
+    # -- running --
 
     def tick(self) -> None:
         """Do a fixed small number of steps; compiled code releases the GIL meanwhile.
@@ -215,15 +216,13 @@ class Simulation:
         if wall > 0.0:
             self._speed += 0.1 * ((self.time - before) / wall - self._speed)
 
-    # -- parts of a run ------------------------------------------------------------------------------------------------
+    # -- parts of a run --
 
     def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
         """Take over a model and bring the state into its numbering, keeping momentum."""
         self.model = model
         garment = self.scene.garment
-        weight = np.bincount(
-            garment.triangles.ravel(), weights=np.repeat(garment.areas, 3), minlength=garment.particle_count
-        )
+        weight = garment.particle_areas
         self._x = model.gather(unsewn_x, weight)
         self._v = model.gather(unsewn_v, weight)
         self._v[model.inverse_mass == 0.0] = 0.0
@@ -345,7 +344,7 @@ class Simulation:
                 return "not supported by the body: it has fallen past it"
         return None
 
-    # -- results -------------------------------------------------------------------------------------------------------
+    # -- results --
 
     def report(self, rest_reason: str | None = None) -> Report:
         """Measure the present state (exact triangle tests included)."""
@@ -358,8 +357,8 @@ class Simulation:
         max_strain = float(structural.max(initial=0.0))
         if max_strain > scene.fabric.strain_limit:
             warnings.append(
-                f"strain {100 * max_strain:.1f} % is above the fabric's limit of {100 * scene.fabric.strain_limit:g} %; "
-                "the garment is too tight or the fabric too soft"
+                f"strain {100 * max_strain:.1f} % is above the fabric's limit of {100 * scene.fabric.strain_limit:g} "
+                "%; the garment is too tight or the fabric too soft"
             )
         crossings, penetration = 0, 0.0
         if scene.body is not None:

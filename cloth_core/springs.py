@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
+from cloth_core.kernel import kernel
 
 __all__ = ["SpringFamily", "Springs", "build_springs", "spring_forces", "spring_strains"]
 
@@ -55,9 +55,7 @@ class Springs:
 
         Two springs between the same particles act as one: k = k1 + k2, L0 = (k1 L1 + k2 L2) / k.
         """
-        return _combined(
-            np.asarray(number[self.pairs], dtype=np.int32), self.rest_length, self.stiffness, self.family
-        )
+        return _combined(np.asarray(number[self.pairs], dtype=np.int32), self.rest_length, self.stiffness, self.family)
 
 
 def build_springs(garment: Garment, fabric: Fabric) -> Springs:
@@ -72,7 +70,14 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
     width = rest[b, 0] - rest[a, 0]
     height = rest[d, 1] - rest[a, 1]
     diagonal = fabric.shear * 2.0 * width * height / (width**2 + height**2)
-    pairs = [np.stack([a, b], 1), np.stack([d, c], 1), np.stack([a, d], 1), np.stack([b, c], 1), np.stack([a, c], 1), np.stack([b, d], 1)]
+    pairs = [
+        np.stack([a, b], 1),
+        np.stack([d, c], 1),
+        np.stack([a, d], 1),
+        np.stack([b, c], 1),
+        np.stack([a, c], 1),
+        np.stack([b, d], 1),
+    ]
     weft, warp = fabric.structural_weft * height / width / 2.0, fabric.structural_warp * width / height / 2.0
     stiffness = [weft, weft, warp, warp, diagonal, diagonal]
     family = [np.full(len(a), f) for f in (0, 0, 0, 0, 1, 1)]
@@ -118,7 +123,7 @@ def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np
     bending = np.asarray(family) == SpringFamily.BENDING  # a bending spring stays one, whatever it lies beside
     key, inverse = np.unique(np.column_stack([ordered, bending]), axis=0, return_inverse=True)
     inverse = inverse.ravel()
-    k = np.bincount(inverse, weights=stiffness, minlength=len(key))
+    k = np.bincount(inverse, weights=stiffness, minlength=len(key)).astype(np.float64)
     weighted = np.bincount(inverse, weights=stiffness * length, minlength=len(key))
     plain = np.bincount(inverse, weights=length, minlength=len(key)) / np.bincount(inverse, minlength=len(key))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -128,7 +133,7 @@ def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np
     return Springs(np.ascontiguousarray(key[:, :2], dtype=np.int32), rest_length, k, kind)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spring_forces(
     x: Floats, v: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats, damping_time: float, force: Floats
 ) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cloth_core.bending import bending_forces
 from cloth_core.contact import ContactPairs, resolve_contacts
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
+from cloth_core.kernel import kernel
 from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
 
@@ -69,7 +69,7 @@ class ContactSettings(NamedTuple):
     push_speed: float
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, force: Floats) -> None:
     """Sum of all forces on each particle (paper, equation 1), written to force (n, 3) [N]."""
     gravity_forces(terms.mass, terms.gravity, force)
@@ -86,7 +86,7 @@ def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, force:
         seam_forces(x, v, terms.seam, openness, force)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def run_steps(
     x: Floats,
     v: Floats,

@@ -52,7 +52,7 @@ class CdrWriter:
         self._body += encoded + b"\x00"
 
     def array(self, values: npt.NDArray[np.generic]) -> None:
-        """Elements of a fixed array or sequence in C order, without a count. An empty array leaves no padding either."""
+        """Elements of a fixed array or sequence in C order, without a count; no elements leave no padding either."""
         if values.size == 0:
             return
         self._align(values.dtype.itemsize)

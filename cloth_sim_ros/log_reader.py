@@ -68,7 +68,7 @@ class LogReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         try:
-            self._stream = open(self.path, "rb")  # noqa: SIM115
+            self._stream = open(self.path, "rb")
         except OSError as error:
             raise LogError(f"log {self.path}: {error.strerror}; give the path of an MCAP file") from None
         try:

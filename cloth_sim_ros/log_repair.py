@@ -7,6 +7,7 @@ data, summary, footer.
 import os
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import BinaryIO
@@ -20,6 +21,7 @@ from mcap.records import (
     ChunkIndex,
     DataEnd,
     Footer,
+    McapRecord,
     Message,
     MessageIndex,
     Schema,
@@ -151,7 +153,7 @@ def _write_end(stream: BinaryIO, position: int, chunks: list[_WholeChunk]) -> in
     data_end = builder.end()
 
     summary_start = position + len(data_end)
-    groups = {
+    groups: dict[Opcode, Sequence[McapRecord]] = {
         Opcode.SCHEMA: list(schemas.values()),
         Opcode.CHANNEL: list(channels.values()),
         Opcode.STATISTICS: [statistics],

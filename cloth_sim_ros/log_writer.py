@@ -1,4 +1,4 @@
-"""Writes MCAP logs with the `ros2` profile, which `ros2 bag`, Foxglove and other readers of ROS logs open as they are."""
+"""Writes MCAP logs with the `ros2` profile, which `ros2 bag`, Foxglove and other readers open as they are."""
 
 import errno
 import os
@@ -116,7 +116,9 @@ class LogWriter:
         except OSError:
             kept = 0
         self._stream.file.close()
-        return LogError(f"log {self.path}: {reason}, {kept} messages before it are kept; make room and start another one")
+        return LogError(
+            f"log {self.path}: {reason}, {kept} messages before it are kept; make room and start another one"
+        )
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -131,7 +133,7 @@ class _UnbufferedFile:
     """Each write is complete on return or raises, so that a failure belongs to the write that caused it."""
 
     def __init__(self, path: Path) -> None:
-        self.file = open(path, "xb+", buffering=0)  # noqa: SIM115
+        self.file = open(path, "xb+", buffering=0)
 
     def write(self, data: bytes) -> None:
         missing = memoryview(data)

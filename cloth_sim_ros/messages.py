@@ -21,9 +21,9 @@ from cloth_sim_ros.cdr import CdrError, CdrReader, CdrWriter
 __all__ = [
     "Color",
     "Level",
-    "Marker",
     "MarkerEncoder",
     "Status",
+    "TriangleMarker",
     "decode_marker",
     "decode_mesh",
     "decode_string",
@@ -63,8 +63,8 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Marker:
-    """What the simulator puts into a `visualization_msgs/Marker`; `points` are the corners of the triangles [m], (3m, 3)."""
+class TriangleMarker:
+    """What the simulator puts into a `visualization_msgs/Marker`."""
 
     stamp: int
     """[ns] since 1970."""
@@ -73,6 +73,7 @@ class Marker:
     identifier: int
     color: Color
     points: FloatArray
+    """Corners of the triangles [m], shape (3m, 3)."""
 
 
 @cache
@@ -126,19 +127,19 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
                 f"body message: {triangle_count} triangles are more than max_triangles = {max_triangles}; "
                 "send a coarser mesh or raise the parameter"
             )
-        triangles = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]").reshape(-1, 3)
+        indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]")
+        triangles = indices.astype(np.int64).reshape(-1, 3)
         vertex_count = reader.uint32("count of vertices")
         vertices = reader.array("<f8", 3 * vertex_count, f"vertices[{vertex_count}]").reshape(-1, 3)
         reader.end()
     except CdrError as error:
         raise BodyError(str(error)) from None
-    # Checked before the cast: an index above 2^31 would come out negative.
-    outside = (triangles >= min(vertex_count, 2**31)).any(axis=1)
+    outside = (triangles >= vertex_count).any(axis=1)
     if outside.any():
         worst = int(outside.argmax())
         raise BodyError(
-            f"body message, triangle {worst}: index {int(triangles[worst].max())} has no vertex, there are {vertex_count}; "
-            "send indices from 0 to the count of vertices minus 1"
+            f"body message, triangle {worst}: index {int(triangles[worst].max())} has no vertex; "
+            f"send indices from 0 to {vertex_count - 1}, the last vertex"
         )
     return vertices.astype(np.float64), triangles.astype(np.int32)
 
@@ -203,7 +204,7 @@ def _marker_fields_after_points() -> bytes:
     return writer.to_bytes()[4:]
 
 
-def decode_marker(data: bytes) -> Marker:
+def decode_marker(data: bytes) -> TriangleMarker:
     """The triangles of a `visualization_msgs/Marker`; fields that the simulator leaves empty are not looked at.
 
     Raises:
@@ -226,7 +227,7 @@ def decode_marker(data: bytes) -> Marker:
     if count % 3:
         raise CdrError(f"marker message: {count} points do not make triangles; send three for each")
     points = reader.array("<f8", 3 * count, f"points[{count}]").astype(np.float64).reshape(-1, 3)
-    return Marker(stamp, frame_id, namespace, identifier, (red, green, blue, alpha), points)
+    return TriangleMarker(stamp, frame_id, namespace, identifier, (red, green, blue, alpha), points)
 
 
 def encode_diagnostics(stamp: int, statuses: Sequence[Status]) -> bytes:

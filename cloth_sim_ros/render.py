@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -175,9 +175,10 @@ def _save_mp4(pictures: Iterator[Picture], path: Path, rate: float) -> None:
     import imageio.v2 as imageio
 
     # Two pixels are the smallest block of yuv420p, the pixel format that every player knows.
-    with imageio.get_writer(
+    film: Any = imageio.get_writer(
         path, format="FFMPEG", fps=rate, codec="libx264", pixelformat="yuv420p", macro_block_size=2, quality=8
-    ) as film:
+    )
+    with film:
         for picture in pictures:
             film.append_data(picture)
         for _ in range(round(FINAL_HOLD * rate)):

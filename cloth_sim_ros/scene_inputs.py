@@ -73,6 +73,16 @@ class ReceivedBody:
         """
         return cls(Body.from_arrays(vertices, triangles, name), encode_mesh(vertices, triangles))
 
+    @classmethod
+    def builtin(cls, name: str) -> "ReceivedBody":
+        """A body that comes with the package.
+
+        Raises:
+            BodyError: there is none of that name.
+        """
+        body = Body.load(name)
+        return cls(body, encode_mesh(body.vertices, body.triangles))
+
 
 @dataclass(frozen=True, eq=False)
 class SceneInputs:
@@ -84,9 +94,11 @@ class SceneInputs:
 
     def same_scene(self, other: "SceneInputs") -> bool:
         """Whether both make the same scene; frame and colors are not part of it."""
-        look = {"frame_id": "", "garment_color": GARMENT_COLOR, "body_color": BODY_COLOR}
-        same_parameters = replace(self.parameters, **look) == replace(other.parameters, **look)
-        return self.pattern is other.pattern and self.body is other.body and same_parameters
+        mine = self.parameters
+        theirs = replace(
+            other.parameters, frame_id=mine.frame_id, garment_color=mine.garment_color, body_color=mine.body_color
+        )
+        return self.pattern is other.pattern and self.body is other.body and mine == theirs
 
 
 def build_scene(inputs: SceneInputs, limits: Limits) -> Scene:
@@ -98,7 +110,7 @@ def build_scene(inputs: SceneInputs, limits: Limits) -> Scene:
     assert inputs.pattern is not None
     parameters = inputs.parameters
     settings = parameters.settings()
-    # The square grid has one particle per cell, so the area alone tells a scene that is far too large before it is built.
+    # The grid has one particle per cell, so the area alone tells a scene that is far too large before it is built.
     area = sum(abs(panel.area) for panel in inputs.pattern.panels.values())
     _check_particles(round(area / settings.spacing**2), settings.spacing, limits)
     body = None if inputs.body is None else inputs.body.body

@@ -46,7 +46,7 @@ class WorkerSettings:
     """Values that act at once."""
 
     publish_rate: float = 30.0
-    """Frames per second of wall-clock time while the garment moves [Hz]; a step is 1 / publish_rate of simulated time."""
+    """Frames per second of wall-clock time while the garment moves [Hz]; a step is 1 / publish_rate simulated."""
     auto_start: bool = False
     """Start a new garment by itself."""
     record_directory: str = "cloth_sim_records"
@@ -111,19 +111,30 @@ class SimulationWorker:
 
     # -- commands ------------------------------------------------------------------------------------------------------
 
-    def load_pattern(self, text: str, name: str = "pattern") -> str:
+    def load_pattern(self, text: str, name: str = "pattern") -> None:
         """Takes a GarmentCode pattern (JSON); its garment replaces the present one as soon as it is built."""
         self._builder.request("pattern", lambda inputs: replace(inputs, pattern=Pattern.from_json(text, name)))
-        return f"{name} received"
 
     def load_body(
         self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], name: str = "body"
-    ) -> str:
+    ) -> None:
         """Takes a body, vertices [m] (n, 3), triangles (m, 3); the garment starts again around it."""
         self._builder.request(
             "body", lambda inputs: replace(inputs, body=ReceivedBody.from_arrays(vertices, triangles, name))
         )
-        return f"{name} received"
+
+    def load_builtin_pattern(self, name: str) -> None:
+        """Takes a pattern that comes with the package."""
+        self._builder.request("pattern", lambda inputs: replace(inputs, pattern=Pattern.load(name)))
+
+    def load_builtin_body(self, name: str) -> None:
+        """Takes a body that comes with the package."""
+        self._builder.request("body", lambda inputs: replace(inputs, body=ReceivedBody.builtin(name)))
+
+    def refuse(self, line: str) -> None:
+        """Notes that an input was refused before it came here."""
+        self._refusal = line
+        self._listener.warn(line)
 
     def configure(self, parameters: SceneParameters, settings: WorkerSettings) -> None:
         """Takes parameters for the next pattern, body or reset, and settings for at once."""
@@ -294,13 +305,12 @@ class SimulationWorker:
             self._wake.notify_all()
 
     def _on_refused(self, line: str) -> None:
-        self._refusal = line
         with self._wake:
             self._resetting = False
             if self._run is None or self._is_over():
                 self._mode = _Mode.PAUSED
             self._wake.notify_all()
-        self._listener.warn(line)
+        self.refuse(line)
 
     # -- simulation thread ---------------------------------------------------------------------------------------------
 
@@ -339,7 +349,8 @@ class SimulationWorker:
         run.messages = self._messages(parameters)
         start = run.messages.start
         self._outlet.send(PATTERN, encode_string(run.inputs.pattern.source), start)
-        self._outlet.send(PARAMETERS, encode_string(json.dumps(parameters.to_dict(), sort_keys=True)), start)
+        repeatable = {**parameters.to_dict(), "settings": asdict(run.scene.settings)}
+        self._outlet.send(PARAMETERS, encode_string(json.dumps(repeatable, sort_keys=True)), start)
         self._send_body(run.inputs, run.messages)
         self._send_frame(run)
         self._next_strain = 0.0

@@ -1,0 +1,221 @@
+"""The ROS 2 node: topics, services and parameters around a `SimulationWorker`."""
+
+import json
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.utilities import try_shutdown
+from std_srvs.srv import SetBool, Trigger
+
+from cloth_core.errors import ClothError, PatternError
+from cloth_core.pattern import MAX_TEXT_BYTES
+from cloth_sim_ros.messages import decode_mesh, decode_string
+from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
+from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
+from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
+from cloth_sim_ros.worker import SimulationWorker
+
+__all__ = ["ClothSimNode", "main"]
+
+DIAGNOSTICS_PERIOD = 1.0
+"""Wall-clock time between two diagnostics [s]."""
+SWITCH_INTERVAL = 0.001
+"""Longest that a thread keeps the interpreter when others wait [s]."""
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node until SIGINT or SIGTERM, then ends its log."""
+    # rclpy ends the context on both signals and calls these afterwards: nothing, so that no exception and no second
+    # signal cuts off the log while it is being ended.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    signal.signal(signal.SIGTERM, lambda *_: None)
+    # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    rclpy.init(args=args)
+    try:
+        node = ClothSimNode()
+    except (ClothError, ParameterException) as error:
+        rclpy.shutdown()
+        sys.exit(f"cloth_sim_node: {error}")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except ExternalShutdownException:
+        pass
+    finally:
+        node.close()
+        try_shutdown()
+
+
+def _descriptor(parameter: NodeParameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=parameter.description, additional_constraints=parameter.constraints)
+    if parameter.lowest is not None and parameter.highest is not None:
+        if isinstance(parameter.default, float):
+            float_range = FloatingPointRange(from_value=parameter.lowest, to_value=parameter.highest)
+            descriptor.floating_point_range = [float_range]
+        else:
+            integer_range = IntegerRange(from_value=int(parameter.lowest), to_value=int(parameter.highest), step=1)
+            descriptor.integer_range = [integer_range]
+    return descriptor
+
+
+class ClothSimNode(Node):
+    """Serves one simulated garment under the name `cloth_sim`."""
+
+    def __init__(self) -> None:
+        super().__init__("cloth_sim")
+        self._log = super().get_logger()
+        values = self._declare_parameters()
+        self._values = values
+        self._create_publishers()
+        self._worker = SimulationWorker(
+            self,
+            node_name=self.get_fully_qualified_name(),
+            parameters=scene_parameters(values),
+            settings=worker_settings(values),
+        )
+        self._create_subscriptions()
+        self._create_services()
+        self.create_timer(DIAGNOSTICS_PERIOD, self._worker.diagnose)
+        self._load_builtins({name: values[name] for name in ("body", "pattern")})
+
+    def close(self) -> None:
+        """Ends the simulation and a recording; the log is complete on return."""
+        self._worker.close()
+        super().destroy_node()
+
+    # -- declare -------------------------------------------------------------------------------------------------------
+
+    def _declare_parameters(self) -> dict[str, Any]:
+        values = {
+            parameter.name: self.declare_parameter(parameter.name, parameter.default, _descriptor(parameter)).value
+            for parameter in PARAMETERS
+        }
+        check(values)
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self.add_post_set_parameters_callback(self._on_parameters_set)
+        return values
+
+    # -- create --------------------------------------------------------------------------------------------------------
+
+    def _create_publishers(self) -> None:
+        self._publishers_of: dict[Topic, Publisher] = {}
+        for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS):
+            message_class = MESSAGE_CLASSES[topic.message_type]
+            name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
+            self._publishers_of[topic] = self.create_publisher(message_class, name, qos_profile(topic.qos))
+
+    def _create_subscriptions(self) -> None:
+        for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
+            message_class = MESSAGE_CLASSES[topic.message_type]
+            self.create_subscription(message_class, f"~/{topic.name}", callback, qos_profile(topic.qos), raw=True)
+
+    def _create_services(self) -> None:
+        worker = self._worker
+        commands: dict[str, Callable[[], str]] = {
+            "start": worker.start,
+            "pause": worker.pause,
+            "reset": worker.reset,
+            "step": worker.step,
+            "drape": worker.drape,
+            "save": worker.save,
+            "describe": lambda: json.dumps(worker.describe()),
+        }
+        for name, command in commands.items():
+            self.create_service(Trigger, f"~/{name}", self._trigger(command))
+        self.create_service(SetBool, "~/record", self._on_record)
+
+    # -- callbacks -----------------------------------------------------------------------------------------------------
+
+    def _on_pattern(self, data: bytes) -> None:
+        try:
+            if len(data) > MAX_TEXT_BYTES:
+                raise PatternError(f"pattern message: {len(data)} bytes are more than {MAX_TEXT_BYTES}; simplify it")
+            self._worker.load_pattern(decode_string(data, "pattern message"))
+        except ClothError as error:
+            self._worker.refuse(str(error))
+
+    def _on_body(self, data: bytes) -> None:
+        try:
+            self._worker.load_body(*decode_mesh(data, self._values["max_triangles"]))
+        except ClothError as error:
+            self._worker.refuse(str(error))
+
+    def _trigger(self, command: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        return lambda _, response: self._answer(command, response)
+
+    def _on_record(self, request: Any, response: Any) -> Any:
+        return self._answer(lambda: self._worker.record(request.data), response)
+
+    def _answer(self, command: Callable[[], str], response: Any) -> Any:
+        try:
+            response.message = command()
+            response.success = True
+        except ClothError as error:
+            response.message = str(error)
+            response.success = False
+            self.warn(str(error))
+        return response
+
+    def _on_set_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        known = {parameter.name for parameter in PARAMETERS}
+        changes = {parameter.name: parameter.value for parameter in parameters if parameter.name in known}
+        try:
+            check(self._values | changes)
+        except ClothError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _on_parameters_set(self, parameters: list[Parameter]) -> None:
+        changes = {parameter.name: parameter.value for parameter in parameters if parameter.name in self._values}
+        self._values = self._values | changes
+        self._worker.configure(scene_parameters(self._values), worker_settings(self._values))
+        self._load_builtins({name: changes[name] for name in ("body", "pattern") if name in changes})
+
+    def _load_builtins(self, names: dict[str, str]) -> None:
+        if names.get("body"):
+            self._worker.load_builtin_body(names["body"])
+        if names.get("pattern"):
+            self._worker.load_builtin_pattern(names["pattern"])
+
+    # -- listener of the worker, from any thread -----------------------------------------------------------------------
+
+    def wants_frames(self) -> bool:
+        """Whether anybody subscribes to the garment."""
+        return self.context.ok() and self._publishers_of[GARMENT].get_subscription_count() > 0
+
+    def send(self, topic: Topic, data: bytes) -> None:
+        """Publishes CDR bytes as they are."""
+        publisher = self._publishers_of.get(topic)
+        if publisher is None:
+            return
+        try:
+            publisher.publish(data)
+        except Exception as error:
+            # The context may go down between two statements of this thread; then nobody waits for the message.
+            if self.context.ok():
+                self._log.error(f"{publisher.topic_name}: {error}")
+
+    def inform(self, line: str) -> None:
+        """Logs; to standard error once the context is down, when there is no /rosout any more."""
+        if self.context.ok():
+            self._log.info(line)
+        else:
+            print(line, file=sys.stderr)
+
+    def warn(self, line: str) -> None:
+        """Logs, likewise."""
+        if self.context.ok():
+            self._log.warning(line)
+        else:
+            print(line, file=sys.stderr)

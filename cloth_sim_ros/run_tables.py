@@ -1,0 +1,68 @@
+"""Tables that the command line prints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from cloth_core.report import Report
+
+__all__ = ["print_explanation", "print_report"]
+
+
+def print_report(report: Report) -> None:
+    """Prints what a run did."""
+    speed = report.simulated_time / report.wall_time if report.wall_time > 0.0 else 0.0
+    rows = [
+        ("fabric", report.fabric),
+        ("particles, triangles, springs", f"{report.particles}, {report.triangles}, {report.springs}"),
+        ("at rest", f"{'yes' if report.settled else 'NO'}: {report.rest_reason}"),
+        ("simulated time", f"{report.simulated_time:.3f} s in {report.steps} steps of {1e6 * report.time_step:.3g} µs"),
+        ("wall time", f"{report.wall_time:.1f} s ({speed:.2g} x real time)"),
+        ("largest strain", f"{100 * report.max_strain:.2f} % (fabric's limit {100 * report.strain_limit:g} %)"),
+        ("largest seam gap", f"{1000 * report.max_seam_gap:.3g} mm"),
+        ("edges through the body", str(report.body_intersections)),
+        ("edges through cloth", str(report.self_intersections)),
+        ("deepest penetration", f"{1000 * report.max_penetration:.3g} mm"),
+    ]
+    _print_rows(f"{report.garment} on {report.body or 'no body'}", rows)
+
+
+def print_explanation(facts: dict[str, Any]) -> None:
+    """Prints what a run would consist of: `Simulation.describe` with the measured cost of a step."""
+    stable = facts["stable_time_step"]
+    rows = [
+        ("fabric", facts["fabric"]),
+        ("panels", ", ".join(facts["panels"])),
+        ("seams", str(facts["seams"])),
+        ("particle spacing", f"{1000 * facts['spacing']:g} mm"),
+        ("particles, triangles, springs", f"{facts['particles']}, {facts['triangles']}, {facts['springs']}"),
+        ("area, mass", f"{facts['area']:.4g} m², {facts['mass']:.4g} kg"),
+        ("stable time step", "unlimited" if stable is None else f"{1e6 * stable:.4g} µs"),
+        ("time step in use", f"{1e6 * facts['time_step']:.4g} µs"),
+        ("cost of a step", f"{1e6 * facts['seconds_per_step']:.3g} µs"),
+        ("cost of a simulated second", f"{facts['seconds_per_simulated_second']:.3g} s"),
+    ]
+    _print_rows(f"{facts['garment']} on {facts['body'] or 'no body'}", rows)
+    _print_terms(facts["terms"])
+
+
+def _print_rows(title: str, rows: Sequence[tuple[str, str]]) -> None:
+    table = Table(title=Text(title), show_header=False, title_justify="left")
+    for name, value in rows:
+        table.add_row(Text(name), Text(value))
+    Console().print(table)
+
+
+def _print_terms(terms: dict[str, dict[str, Any]]) -> None:
+    table = Table("term", "on", "elements", "µs a step", "reason", title="terms", title_justify="left")
+    for name, term in terms.items():
+        cost = term["microseconds_per_step"]
+        shown = "" if cost is None or not term["active"] else f"{cost:.1f}"
+        table.add_row(name, "yes" if term["active"] else "no", str(term["elements"]), shown, Text(term["reason"]))
+    Console().print(table)
