@@ -24,7 +24,7 @@ from cloth_core.intersections import crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives, representatives
 
-__all__ = ["BodyContact", "ContactPairs", "no_contact_pairs", "resolve_contacts"]
+__all__ = ["BodyContact", "ContactPairs", "keep_within_travel", "no_contact_pairs", "resolve_contacts"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -356,7 +356,7 @@ def resolve_contacts(
     spent = keep_within_travel(x, pairs, moved)
     _hold_vertices(x, v, inverse_mass, pairs, body_x, body_triangles, offset, friction, push_speed, dt)
     _hold_sides(x, v, inverse_mass, pairs, body_x, side_offset, friction, push_speed, dt, moved)
-    return keep_within_travel(x, pairs, moved) or spent
+    return spent
 
 
 @kernel

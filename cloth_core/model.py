@@ -17,6 +17,7 @@ from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ContactSettings, ForceTerms
+from cloth_core.strain_limit import build_strain_limit
 
 __all__ = ["Model", "Term"]
 
@@ -83,6 +84,7 @@ class Model:
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
+        self.strain_limit = build_strain_limit(self.springs, fabric.strain_limit)
         self.contact: BodyContact | None = (
             BodyContact(scene.body, self.triangles, self.particle_count, scene.settings.contact_offset)
             if scene.body is not None
@@ -112,6 +114,7 @@ class Model:
             hinge_stiffness=bend.hinge_stiffness,
             bending_damping_time=self.scene.fabric.bending_damping_time,
             seam=self.seam_pull if self.seam_pull is not None else _NO_SEAMS,
+            strain_limit=self.strain_limit,
         )
 
     def contact_settings(self) -> ContactSettings:
@@ -213,6 +216,10 @@ class Model:
             term(
                 "bending", self.bending is not None, bending,
                 f"{fabric.bending:g} N m", "the fabric has no bending stiffness",
+            ),
+            term(
+                "strain limit", True, count[SpringFamily.STRUCTURAL],
+                f"structural springs stretch by at most {100 * fabric.strain_limit:g} %", "",
             ),
             term(
                 "spring damping", fabric.damping_time > 0.0, len(self.springs),

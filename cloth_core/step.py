@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.bending import bending_forces
-from cloth_core.contact import ContactPairs, resolve_contacts
+from cloth_core.contact import ContactPairs, keep_within_travel, resolve_contacts
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel
 from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
+from cloth_core.strain_limit import StrainLimit, hold_strain, repeat_strain_impulses, watch_strain
 
 __all__ = ["ContactSettings", "ForceTerms", "run_steps", "total_force"]
 
@@ -32,6 +33,7 @@ class ForceTerms(NamedTuple):
         lines (l, 3), line_stiffness (l,), hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m].
         bending_damping_time: [s].
         seam: pull of the open seams.
+        strain_limit: longest lengths of the structural springs.
     """
 
     mass: Floats
@@ -49,6 +51,7 @@ class ForceTerms(NamedTuple):
     hinge_stiffness: Floats
     bending_damping_time: float
     seam: SeamPull
+    strain_limit: StrainLimit
 
 
 class ContactSettings(NamedTuple):
@@ -104,13 +107,20 @@ def run_steps(
 
     x, v, force (n, 3) [m, m/s, N]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
     """
+    watch_strain(x, terms.spring_pairs, terms.strain_limit)
     for step in range(count):
         openness = max(openness - openness_rate * dt, 0.0)
         total_force(x, v, terms, openness, force)
         semi_implicit_euler(x, v, force, terms.inverse_mass, dt)
-        if contact.active and resolve_contacts(
-            x, v, terms.inverse_mass, pairs, contact.body_vertices, contact.body_triangles, contact.offset,
-            contact.side_offset, contact.friction, contact.push_speed, dt, moved,
-        ):  # fmt: skip
+        repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        spent = False
+        if contact.active:
+            spent = resolve_contacts(
+                x, v, terms.inverse_mass, pairs, contact.body_vertices, contact.body_triangles, contact.offset,
+                contact.side_offset, contact.friction, contact.push_speed, dt, moved,
+            )  # fmt: skip
+        hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
+        if contact.active and (keep_within_travel(x, pairs, moved) or spent):
             return step + 1
     return count

@@ -14,6 +14,7 @@ from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.sewing import seam_forces
 from cloth_core.springs import spring_forces
 from cloth_core.step import ContactSettings, ForceTerms
+from cloth_core.strain_limit import hold_strain
 
 __all__ = ["term_costs"]
 
@@ -41,6 +42,10 @@ def term_costs(
             terms.bending_damping_time, force,
         ),
     }  # fmt: skip
+    xs, vs = x.copy(), v.copy()
+    measured["strain limit"] = lambda: hold_strain(
+        xs, vs, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt
+    )
     if terms.seam.pairs.shape[0] > 0:
         measured["seams"] = lambda: seam_forces(x, v, terms.seam, 0.0, force)
     if contact.active:

@@ -1,0 +1,135 @@
+"""Strain limit: woven cloth hardly stretches beyond its limit (the paper: at most 5 %), however hard it is pulled.
+
+A spring that has reached the limit takes no further extension: its ends get equal and opposite impulses that only pull,
+as many as needed (Provot's limit of 1995 as a unilateral constraint on velocities). No stiffness is added, so that the
+stable time step stays as it is; springs well below the limit are not looked at.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.kernel import kernel
+from cloth_core.springs import SpringFamily, Springs
+
+__all__ = ["StrainLimit", "build_strain_limit", "hold_strain", "repeat_strain_impulses", "watch_strain"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# The limit that is enforced lies a little inside the fabric's, so that what is left after the sweeps stays within it.
+_MARGIN = 0.97
+# Springs from this share of the limit on are looked at in each step.
+_WATCHED = 0.7
+_SWEEPS = 4
+# Time in which a spring that is too long shrinks back, to 1/e [s], and its largest speed then [m/s].
+_RETURN_TIME = 0.01
+_RETURN_SPEED = 0.1
+
+
+class StrainLimit(NamedTuple):
+    """State of the limit; arrays over all springs.
+
+    Attributes:
+        longest: largest length allowed [m], (s,); inf for springs without a limit.
+        watched_from: length from which a spring is looked at [m], (s,).
+        impulse: what each spring gave in the last step [N s], (s,); the next step starts from it.
+        watched: springs that are looked at; the first watched_count[0] count, (s,).
+    """
+
+    longest: Floats
+    watched_from: Floats
+    impulse: Floats
+    watched: Ints
+    watched_count: Ints
+
+
+def build_strain_limit(springs: Springs, limit: float) -> StrainLimit:
+    """Limit the extension of the structural springs to `limit` (0.05 = 5 %)."""
+    structural = springs.family == SpringFamily.STRUCTURAL
+    return StrainLimit(
+        longest=np.where(structural, (1.0 + _MARGIN * limit) * springs.rest_length, np.inf),
+        watched_from=np.where(structural, (1.0 + _WATCHED * limit) * springs.rest_length, np.inf),
+        impulse=np.zeros(len(springs)),
+        watched=np.zeros(len(springs), dtype=np.int32),
+        watched_count=np.zeros(1, dtype=np.int32),
+    )
+
+
+@kernel
+def watch_strain(x: Floats, pairs: Ints, limit: StrainLimit) -> None:
+    """Note the springs that are near their limit; x (n, 3) [m], pairs (s, 2)."""
+    count = 0
+    for s in range(limit.longest.shape[0]):
+        i, j = pairs[s, 0], pairs[s, 1]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        if dx * dx + dy * dy + dz * dz > limit.watched_from[s] * limit.watched_from[s]:
+            limit.watched[count] = s
+            count += 1
+        else:
+            limit.impulse[s] = 0.0
+    limit.watched_count[0] = count
+
+
+@kernel
+def repeat_strain_impulses(
+    x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: StrainLimit, dt: float
+) -> None:
+    """Give each watched spring what it needed in the last step, before contact and its friction have their say."""
+    for entry in range(limit.watched_count[0]):
+        s = limit.watched[entry]
+        if limit.impulse[s] > 0.0:
+            _pull(x, v, inverse_mass, pairs[s, 0], pairs[s, 1], limit.impulse[s], dt)
+
+
+@kernel
+def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: StrainLimit, dt: float) -> None:
+    """Bring the watched springs back within their limit at the end of a step, in place.
+
+    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; pairs (s, 2); dt [s].
+    """
+    for _ in range(_SWEEPS if limit.watched_count[0] > 0 else 0):
+        for entry in range(limit.watched_count[0]):
+            s = limit.watched[entry]
+            i, j = pairs[s, 0], pairs[s, 1]
+            compliance = inverse_mass[i] + inverse_mass[j]
+            if compliance == 0.0:
+                continue
+            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            length = np.sqrt(dx * dx + dy * dy + dz * dz)
+            excess = length - limit.longest[s]
+            rate = (dx * (v[j, 0] - v[i, 0]) + dy * (v[j, 1] - v[i, 1]) + dz * (v[j, 2] - v[i, 2])) / length
+            # What was within the limit may just reach it; what was beyond shrinks back gently.
+            target = excess - dt * rate
+            if target > 0.0:
+                target -= min(target / _RETURN_TIME, _RETURN_SPEED) * dt
+            else:
+                target = 0.0
+            before = limit.impulse[s]
+            limit.impulse[s] = max(before + (excess - target) / (dt * compliance), 0.0)
+            _pull(x, v, inverse_mass, i, j, limit.impulse[s] - before, dt)
+
+
+@kernel
+def _pull(x: Floats, v: Floats, inverse_mass: Floats, i: int, j: int, impulse: float, dt: float) -> None:
+    """Pull i and j together by an impulse [N s] along their line."""
+    dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
+    if length < 1e-12:
+        return
+    a, b = inverse_mass[i] * impulse / length, inverse_mass[j] * impulse / length
+    v[i, 0] += a * dx
+    v[i, 1] += a * dy
+    v[i, 2] += a * dz
+    v[j, 0] -= b * dx
+    v[j, 1] -= b * dy
+    v[j, 2] -= b * dz
+    x[i, 0] += a * dx * dt
+    x[i, 1] += a * dy * dt
+    x[i, 2] += a * dz * dt
+    x[j, 0] -= b * dx * dt
+    x[j, 1] -= b * dy * dt
+    x[j, 2] -= b * dz * dt
