@@ -7,35 +7,40 @@ VENV = .venv
 BIN = $(VENV)/bin
 NUMPY1 = .venv-numpy1
 
-# Wheels only, so that nothing is compiled; EmPy is pure Python and exists as source only. Without build isolation it is
-# the pinned setuptools that builds it and this package.
-INSTALL = -m pip install --quiet --disable-pip-version-check --only-binary :all: --no-binary empy --no-build-isolation
-SOURCES = setup.py setup.cfg pyproject.toml constraints.txt
+# Every pinned version exists as a wheel but that of EmPy, which is pure Python; so nothing needs a compiler. Without
+# build isolation it is the pinned setuptools that builds EmPy and this package. Byte code is written when a module is
+# first imported, which is much less than all of it at installation.
+INSTALL = -m pip install --quiet --disable-pip-version-check --prefer-binary --no-compile --no-build-isolation --use-pep517
+export PYTHONDONTWRITEBYTECODE =
+
+METADATA = setup.py setup.cfg pyproject.toml constraints.txt
 
 .PHONY: demo test lint format test-numpy1 clean
 
 demo: $(VENV)/ros.done
 	@echo "==> demo: the T-shirt on the young woman, by a node and a client in processes of their own"
-	$(BIN)/python -m cloth_sim_ros.demo --output demo
+	@$(BIN)/python -m cloth_sim_ros.demo --output demo
 
 test: $(VENV)/test.done
 	@echo "==> tests"
-	$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest
 
 lint: $(VENV)/test.done
-	@echo "==> format (ruff), lint (ruff), types (mypy)"
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/mypy
+	@echo "==> format (ruff)"
+	@$(BIN)/ruff format --check .
+	@echo "==> lint (ruff)"
+	@$(BIN)/ruff check .
+	@echo "==> types (mypy)"
+	@$(BIN)/mypy
 
 format: $(VENV)/test.done
-	$(BIN)/ruff format .
-	$(BIN)/ruff check --fix .
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
 
 # The core with the NumPy of Ubuntu 24.04 and without ROS. Needs Python 3.12 or older.
 test-numpy1: $(NUMPY1)/core.done
 	@echo "==> tests of the core with NumPy 1.26, without ROS"
-	$(NUMPY1)/bin/python -m pytest tests/core
+	@$(NUMPY1)/bin/python -m pytest tests/core
 
 clean:
 	rm -rf $(VENV) $(NUMPY1) build install log demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
@@ -45,25 +50,32 @@ $(VENV)/made.done: constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 	    { echo "$(PYTHON) is older than Python 3.10; choose another one: make PYTHON=python3.12"; exit 1; }
 	@echo "==> making the environment $(VENV) with `$(PYTHON) --version`"
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python $(INSTALL) --constraint constraints.txt setuptools
 	@touch $@
 
-$(VENV)/ros.done: $(VENV)/made.done $(SOURCES)
-	@echo "==> installing the simulator and ROS 2 (wheels, about 150 MB the first time)"
-	@$(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros]'
+$(VENV)/core.done: $(VENV)/made.done $(METADATA)
+	@echo "==> installing the simulator as wheels (200 MB to download the first time)"
+	@$(BIN)/python $(INSTALL) --constraint constraints.txt --editable .
 	@touch $@
 
-$(VENV)/test.done: $(VENV)/made.done $(SOURCES)
-	@echo "==> installing the simulator, ROS 2 and what tests and checks need (wheels, about 200 MB the first time)"
-	@$(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros,test,lint]'
-	@touch $(VENV)/ros.done $@
+# A run that ends at once makes numba compile, and keep, what the node will need: that takes one core, pip the other.
+$(VENV)/ros.done: $(VENV)/core.done
+	@echo "==> installing ROS 2 as wheels (50 MB to download the first time), compiling the simulator meanwhile"
+	@$(BIN)/cloth-sim drape tshirt --body young --quality draft --max-time 0.001 > $(VENV)/compile.log 2>&1 & \
+	    $(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros]' && wait
+	@touch $@
 
-$(NUMPY1)/core.done: $(SOURCES)
+$(VENV)/test.done: $(VENV)/made.done $(METADATA)
+	@echo "==> installing the simulator, ROS 2 and what tests and checks need as wheels"
+	@$(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros,test,lint]'
+	@touch $(VENV)/core.done $(VENV)/ros.done $@
+
+$(NUMPY1)/core.done: $(METADATA)
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 13))' || \
 	    { echo "NumPy 1.26 needs Python 3.10 to 3.12; choose one: make PYTHON=python3.12 test-numpy1"; exit 1; }
 	@echo "==> making the environment $(NUMPY1) with `$(PYTHON) --version` and NumPy 1.26"
-	$(PYTHON) -m venv $(NUMPY1)
+	@$(PYTHON) -m venv $(NUMPY1)
 	@grep -v -E '^(numpy|scipy|numba|llvmlite)==' constraints.txt > $(NUMPY1)/constraints.txt
 	@$(NUMPY1)/bin/python $(INSTALL) --constraint $(NUMPY1)/constraints.txt setuptools
 	@$(NUMPY1)/bin/python $(INSTALL) --constraint $(NUMPY1)/constraints.txt 'numpy==1.26.*' --editable '.[test]'

@@ -20,9 +20,8 @@ RUNTIME = [
     "scipy>=1.11.4",
     "shapely>=2.1",
     "trimesh>=4.0",
-    "zstandard>=0.22",
 ]
-ROS = ["ros-jazzy-common-interfaces>=5.3.6", "ros-jazzy-rclpy[fastrtps]>=7.1.6"]
+ROS = ["pyyaml>=6.0", "ros-jazzy-common-interfaces>=5.3.6", "ros-jazzy-rclpy[fastrtps]>=7.1.6"]
 TEST = [
     # The suite as such.
     "hypothesis>=6.100",

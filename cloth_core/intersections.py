@@ -9,7 +9,7 @@ from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
 
-__all__ = ["crossing_edges", "self_crossing_edges"]
+__all__ = ["crossing_edges", "segment_crosses", "self_crossing_edges"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -71,12 +71,12 @@ def _edges_through(
             i, j = edges[e, 0], edges[e, 1]
             if same_mesh and (i == a or i == b or i == c or j == a or j == b or j == c):
                 continue
-            hit[e] = _segment_crosses(p, q, vertices[a], vertices[b], vertices[c])
+            hit[e] = segment_crosses(p, q, vertices[a], vertices[b], vertices[c])
     return hit
 
 
 @kernel
-def _segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
+def segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Whether pq passes through the inside of abc, by the signs of five tetrahedra's volumes."""
     above, below = _volume(a, b, c, p), _volume(a, b, c, q)
     if (above > 0.0) == (below > 0.0) or above == 0.0 or below == 0.0:

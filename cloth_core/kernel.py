@@ -1,8 +1,57 @@
-"""How all compiled functions are compiled: cached, without the GIL, division by zero gives inf as in NumPy."""
+"""How all compiled functions are compiled: cached, without the GIL, division by zero gives inf as in NumPy.
 
-from numba import njit
+Numba keeps a cached function until its own file changes, although it holds compiled copies of what it calls in other
+files; after an update that would run old code on new arrays. So the cache lies in a directory named after the content
+of the whole package.
+"""
 
-__all__ = ["inlined_kernel", "kernel"]
+from __future__ import annotations
 
-kernel = njit(cache=True, nogil=True, error_model="numpy")
-inlined_kernel = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+import hashlib
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+__all__ = ["cache_directory", "inlined_kernel", "kernel"]
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_config: Any = numba.config
+_njit: Any = numba.njit
+
+
+@cache
+def cache_directory() -> Path:
+    """Where compiled functions are kept: below NUMBA_CACHE_DIR, else below the user's cache directory."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.name.encode())
+        digest.update(source.read_bytes())
+    user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(_config.CACHE_DIR or Path(user) / "cloth_core") / digest.hexdigest()[:16]
+
+
+def kernel(function: F) -> F:
+    """Compile a function at its first call."""
+    return _compiled(function, inline="never")
+
+
+def inlined_kernel(function: F) -> F:
+    """Compile a small function into its callers."""
+    return _compiled(function, inline="always")
+
+
+def _compiled(function: F, inline: str) -> F:
+    # The place is read when the function is decorated; other packages' functions keep theirs.
+    before = _config.CACHE_DIR
+    _config.CACHE_DIR = str(cache_directory())
+    try:
+        return cast(F, _njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
+    except (RuntimeError, OSError):  # no directory can be written to: compile anew in each process
+        return cast(F, _njit(nogil=True, error_model="numpy", inline=inline)(function))
+    finally:
+        _config.CACHE_DIR = before

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.bending import Bending, bending_forces, build_bending
-from cloth_core.contact import BodyContact
+from cloth_core.body_contact import BodyContact
+from cloth_core.contact import Contact, ContactSettings
 from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.kernel import kernel
@@ -16,7 +17,7 @@ from cloth_core.scene import Scene
 from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
-from cloth_core.step import ContactSettings, ForceTerms
+from cloth_core.step import ForceTerms
 from cloth_core.strain_limit import build_strain_limit
 
 __all__ = ["Model", "Term"]
@@ -85,8 +86,8 @@ class Model:
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
         self.strain_limit = build_strain_limit(self.springs, fabric.strain_limit)
-        self.contact: BodyContact | None = (
-            BodyContact(scene.body, self.triangles, self.particle_count, scene.settings.contact_offset)
+        self.contact = (
+            Contact(self.triangles, BodyContact(scene.body, scene.settings.contact_offset))
             if scene.body is not None
             else None
         )
@@ -119,16 +120,15 @@ class Model:
 
     def contact_settings(self) -> ContactSettings:
         """The contact term's constants; cloth slides freely while it is sewn."""
-        if self.contact is None:
-            return ContactSettings(False, np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32), 0.0, 0.0, 0.0, 0.0)
+        body = self.scene.body
+        settings = self.scene.settings
         return ContactSettings(
-            active=True,
-            body_vertices=self.contact.body.vertices,
-            body_triangles=self.contact.body.triangles,
-            offset=self.contact.offset,
-            side_offset=self.contact.side_offset,
+            active=self.contact is not None,
+            body_vertices=body.vertices if body is not None else np.zeros((0, 3)),
+            body_triangles=body.triangles if body is not None else np.zeros((0, 3), dtype=np.int32),
+            offset=settings.contact_offset,
             friction=0.0 if self.sewing else self.scene.fabric.friction,
-            push_speed=self.scene.settings.push_speed,
+            push_speed=settings.push_speed,
         )
 
     # -- states --

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body import Body
-from cloth_core.contact import BodyContact
+from cloth_core.body_contact import BodyContact
+from cloth_core.contact import Contact
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 
@@ -32,8 +33,10 @@ def clear_of_body(garment: Garment, body: Body, gap: float) -> Garment:
         own = np.flatnonzero(garment.panel_of_particle == k)
         local = np.full(len(start), -1, dtype=np.int32)
         local[own] = np.arange(len(own))
-        contact = BodyContact(body, local[garment.triangles[garment.panel_of_triangle == k]], len(own), gap)
-        shift = _clear_shift(contact, garment.start[own], garment.panel_normals[k], gap)
+        triangles = local[garment.triangles[garment.panel_of_triangle == k]]
+        against = BodyContact(body, gap)
+        contact = Contact(triangles, against)
+        shift = _clear_shift(contact, against, garment.start[own], garment.panel_normals[k], gap)
         if shift is None:
             raise SceneError(
                 f"panel '{name}': lies inside the body and is not clear of it within {_FARTHEST:g} m; "
@@ -46,14 +49,14 @@ def clear_of_body(garment: Garment, body: Body, gap: float) -> Garment:
     return replace(garment, start=start, warnings=tuple(warnings))
 
 
-def _clear_shift(contact: BodyContact, x: Floats, normal: Floats, gap: float) -> float | None:
+def _clear_shift(contact: Contact, body: BodyContact, x: Floats, normal: Floats, gap: float) -> float | None:
     for distance in np.arange(0.0, _FARTHEST, _STEP):
         for direction in (1.0, -1.0):
             moved = np.ascontiguousarray(x + direction * distance * normal)
-            pairs = contact.search(moved, gap)
+            travel = contact.search(moved, gap).travel
             # Reach is twice the gap, so a panel that keeps its travel of a full gap has nothing nearer than it; one
             # that is crossed by the body has sides or corners at no distance from it.
-            if float(pairs.travel.min()) >= 0.9 * gap and not contact.crosses(moved):
+            if float(travel.min()) >= 0.9 * gap and not body.crosses(moved, contact.triangles):
                 return float(direction * distance)
             if distance == 0.0:
                 break

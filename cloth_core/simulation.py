@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import ContactPairs, no_contact_pairs
+from cloth_core.contact import ContactState
 from cloth_core.errors import SimulationError
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
@@ -37,7 +37,7 @@ _TICK_STEPS = 32
 _CHECK_INTERVAL = 1.0 / 60.0
 # Steps that a particle at the largest speed can travel before contacts are searched again, and the limits of it [m].
 _STEPS_PER_SEARCH = 60
-_LEAST_REACH, _MOST_REACH = 0.001, 0.02
+_LEAST_REACH, _MOST_REACH = 0.001, 0.006
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -193,7 +193,7 @@ class Simulation:
         while done < count:
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
             did = run_steps(
-                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._pairs, dt,
+                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._contacts, dt,
                 count - done, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
@@ -230,7 +230,7 @@ class Simulation:
         self._moved = np.zeros(len(self._x))
         self._contact_settings = model.contact_settings()
         self._stable = model.stable_step(self._x, self._air_drag())
-        self._pairs: ContactPairs = no_contact_pairs()
+        self._contacts = ContactState.none()
         self._refresh_time_step(estimate=False)
         if model.contact is not None:
             self._search_contacts()
@@ -260,11 +260,11 @@ class Simulation:
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
         reach = min(max(_STEPS_PER_SEARCH * self._dt * self._largest_speed(), _LEAST_REACH), _MOST_REACH)
-        self._pairs = self.model.contact.search(self._x, reach)
+        self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
 
     def _contacts_spent(self) -> bool:
-        return bool((self._moved > 0.8 * self._pairs.travel).any())
+        return bool((self._moved > 0.8 * self._contacts.travel).any())
 
     def _largest_speed(self) -> float:
         return float(np.sqrt((self._v**2).sum(axis=1).max()))
@@ -365,7 +365,7 @@ class Simulation:
             body = scene.body
             crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
             penetration = max(0.0, -float(body.signed_distance(x).min()))
-        costs = term_costs(self._x, self._v, self._terms, self._contact_settings, self._pairs, self._dt)
+        costs = term_costs(self._x, self._v, self._terms, self._contact_settings, self._contacts, self._dt)
         if rest_reason is None:
             rest_reason = "at rest" if self.settled else f"{self.phase}"
         return Report(

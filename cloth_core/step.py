@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.bending import bending_forces
-from cloth_core.contact import ContactPairs, keep_within_travel, resolve_contacts
+from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel
@@ -16,7 +16,7 @@ from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
 from cloth_core.strain_limit import StrainLimit, hold_strain, repeat_strain_impulses, watch_strain
 
-__all__ = ["ContactSettings", "ForceTerms", "run_steps", "total_force"]
+__all__ = ["ForceTerms", "run_steps", "total_force"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -54,24 +54,6 @@ class ForceTerms(NamedTuple):
     strain_limit: StrainLimit
 
 
-class ContactSettings(NamedTuple):
-    """What the contact term needs besides its pairs.
-
-    Attributes:
-        active: whether there is anything to collide with.
-        body_vertices (b, 3) [m], body_triangles (t, 3).
-        offset, side_offset: [m]; friction: Coulomb coefficient; push_speed: [m/s].
-    """
-
-    active: bool
-    body_vertices: Floats
-    body_triangles: Ints
-    offset: float
-    side_offset: float
-    friction: float
-    push_speed: float
-
-
 @kernel
 def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, force: Floats) -> None:
     """Sum of all forces on each particle (paper, equation 1), written to force (n, 3) [N]."""
@@ -97,7 +79,7 @@ def run_steps(
     moved: Floats,
     terms: ForceTerms,
     contact: ContactSettings,
-    pairs: ContactPairs,
+    contacts: ContactState,
     dt: float,
     count: int,
     openness: float,
@@ -115,12 +97,9 @@ def run_steps(
         repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         spent = False
         if contact.active:
-            spent = resolve_contacts(
-                x, v, terms.inverse_mass, pairs, contact.body_vertices, contact.body_triangles, contact.offset,
-                contact.side_offset, contact.friction, contact.push_speed, dt, moved,
-            )  # fmt: skip
+            spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
         hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if contact.active and (keep_within_travel(x, pairs, moved) or spent):
+        if contact.active and (keep_within_travel(x, contacts, moved) or spent):
             return step + 1
     return count

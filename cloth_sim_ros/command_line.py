@@ -140,7 +140,7 @@ def drape(
         gaps = ", ".join(f"{name} ({1000 * gap:.1f} mm)" for name, gap in result.open_seams.items())
         raise FailedRun(f"seams still open: {gaps}; check that the panels can reach each other around the body")
     if not result.settled:
-        raise FailedRun(f"not at rest: {result.rest_reason}")
+        raise FailedRun(f"{result.garment}: {result.rest_reason}")
 
 
 @cli.command()
@@ -195,7 +195,7 @@ def render(log: str, output: Path, size: tuple[int, int] | None, views: tuple[st
             views=views,
             size=size,
             frame_rate=frame_rate,
-            progress=lambda done, total: display.count("drawing frame", done, total),
+            progress=functools.partial(display.share, "drawing frame {done} of {total}"),
         )
     click.echo(f"wrote {output}")
 
@@ -207,14 +207,14 @@ def render(log: str, output: Path, size: tuple[int, int] | None, views: tuple[st
 def play(log: str, rate: float, loop: bool) -> None:
     """Publishes the log RUN.mcap on ROS topics in its own time. Needs ROS 2 (rclpy)."""
     try:
-        import rclpy  # noqa: F401
-    except ImportError:
+        from cloth_sim_ros.play import play_log
+    except ModuleNotFoundError as error:
         raise ClothError(
-            "play: rclpy is not installed; source a ROS 2 installation or run `pip install 'cloth_sim_ros[ros]'`"
+            f"play: {error.name} is not installed; source a ROS 2 installation or `pip install 'cloth_sim_ros[ros]'`"
         ) from None
-    from cloth_sim_ros.play import play_log
-
-    play_log(log, rate=rate, loop=loop)
+    with ProgressDisplay() as display:
+        display.step(f"playing {log}")
+        play_log(log, rate=rate, loop=loop, progress=functools.partial(display.share, "{done} s of {total} s played"))
 
 
 # Parts of commands

@@ -2,7 +2,6 @@
 
 import json
 import os
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from mcap.exceptions import InvalidMagic, McapError
 from mcap.reader import SeekingReader
 from mcap.records import Channel
 from mcap.summary import Summary
 
 from cloth_core.errors import ClothError
+from cloth_sim_ros.log_repair import DAMAGE
 from cloth_sim_ros.log_writer import LogError
 from cloth_sim_ros.messages import NANOSECONDS, Color, decode_marker, decode_mesh, decode_string
 from cloth_sim_ros.topics import BODY, GARMENT, PARAMETERS, PATTERN, REPORT, Topic
@@ -86,16 +85,16 @@ class LogReader:
     def _open_reader(self) -> SeekingReader:
         try:
             return SeekingReader(self._stream, validate_crcs=True)
-        except (McapError, struct.error):
+        except DAMAGE:
             raise LogError(f"log {self.path}: it is not an MCAP file; give the path of one") from None
 
     def _read_summary(self) -> Summary:
         try:
             summary = self._reader.get_summary()
-        except (InvalidMagic, McapError, struct.error, ValueError, OSError):
+        except (*DAMAGE, OSError):
             summary = None
         if summary is None:
-            raise LogError(f"log {self.path}: it was cut off and has no end; recover its whole chunks first")
+            raise LogError(f"log {self.path}: it was cut off and has no end; record the run again")
         return summary
 
     def count(self, topic: Topic) -> int:
@@ -127,8 +126,8 @@ class LogReader:
                     log_time=message.log_time,
                     data=message.data,
                 )
-        except (McapError, struct.error, ValueError, KeyError, OSError) as error:
-            raise LogError(f"log {self.path}: it is damaged ({error}); recover its whole chunks first") from None
+        except (*DAMAGE, OSError) as error:
+            raise LogError(f"log {self.path}: it is damaged ({error}); record the run again") from None
 
     def frames(self) -> Iterator[LoggedFrame]:
         """The garment, frame by frame.

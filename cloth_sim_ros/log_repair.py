@@ -30,8 +30,12 @@ from mcap.records import (
 )
 from mcap.stream_reader import breakup_chunk
 from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
 
-__all__ = ["end_log"]
+__all__ = ["DAMAGE", "end_log"]
+
+DAMAGE = (McapError, ZstdError, ValueError, KeyError, struct.error, RuntimeError)
+"""What the mcap library and its decompressors raise on bytes that are not what they should be."""
 
 _RECORD_HEAD = struct.Struct("<BQ")
 
@@ -88,7 +92,7 @@ def _whole_chunks(stream: BinaryIO) -> tuple[int, list[_WholeChunk]]:
         elif opcode == Opcode.CHUNK:
             try:
                 current = _read_chunk(stream.read(length), position, end)
-            except (McapError, ValueError, struct.error):
+            except DAMAGE:
                 break
         elif opcode == Opcode.MESSAGE_INDEX and current is not None:
             channel = MessageIndex.read(ReadDataStream(BytesIO(stream.read(length)))).channel_id

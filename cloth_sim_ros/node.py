@@ -74,7 +74,7 @@ class ClothSimNode(Node):
 
     def __init__(self) -> None:
         super().__init__("cloth_sim")
-        self._log = super().get_logger()
+        self._log = self.get_logger()  # type: ignore[no-untyped-call]
         values = self._declare_parameters()
         self._values = values
         self._create_publishers()
@@ -92,7 +92,7 @@ class ClothSimNode(Node):
     def close(self) -> None:
         """Ends the simulation and a recording; the log is complete on return."""
         self._worker.close()
-        super().destroy_node()
+        self.destroy_node()  # type: ignore[no-untyped-call]
 
     # -- declare -------------------------------------------------------------------------------------------------------
 

@@ -9,8 +9,6 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rich.progress import Progress as Bar
 
     from cloth_core.simulation import Progress
@@ -22,14 +20,14 @@ LINE_INTERVAL = 5.0
 
 
 def progress_line(progress: Progress) -> str:
-    """One line with the phase, simulated time, speed, largest particle speed and expected rest."""
+    """One line: phase, simulated time, its speed, largest particle speed, expected rest."""
     line = (
-        f"{progress.phase}: {progress.simulated_time:.2f} s simulated, {progress.speed:.2f} x real time, "
-        f"fastest particle {progress.largest_speed:.3g} m/s"
+        f"{progress.phase}: {progress.simulated_time:.2f} s, {progress.speed:.2f} x real time, "
+        f"{progress.largest_speed:.2f} m/s"
     )
     if progress.estimated_rest_time is None:
         return line
-    return f"{line}, rest expected at {progress.estimated_rest_time:.1f} s"
+    return f"{line}, rest at about {progress.estimated_rest_time:.1f} s"
 
 
 class ProgressDisplay:
@@ -43,14 +41,14 @@ class ProgressDisplay:
     def __enter__(self) -> ProgressDisplay:
         if sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import BarColumn, SpinnerColumn, TextColumn
             from rich.progress import Progress as Bar
+            from rich.table import Column
 
             self._bar = Bar(
                 SpinnerColumn(),
-                TextColumn("{task.description}", markup=False),
-                BarColumn(bar_width=24),
-                TimeElapsedColumn(),
+                BarColumn(bar_width=12),
+                TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True)),
                 console=Console(stderr=True),
                 transient=True,
             )
@@ -82,20 +80,21 @@ class ProgressDisplay:
                 total=progress.estimated_rest_time,
             )
         else:
-            self._line(lambda: progress_line(progress))
+            self._line(progress_line(progress))
 
-    def count(self, what: str, done: int, total: int) -> None:
-        """That `done` of `total` pieces of work are done."""
+    def share(self, what: str, done: float, total: float) -> None:
+        """How much of something is done; `what` has the places {done} and {total} for both numbers."""
+        line = what.format(done=round(done, 1), total=round(total, 1))
         if self._bar is not None:
-            self._bar.update(self._task, description=f"{what} {done}/{total}", completed=done, total=total)
+            self._bar.update(self._task, description=line, completed=done, total=total)
         else:
-            self._line(lambda: f"{what} {done}/{total}")
+            self._line(line)
 
-    def _line(self, line: Callable[[], str]) -> None:
+    def _line(self, line: str) -> None:
         now = time.monotonic()
         if now >= self._next_line:
             self._next_line = now + LINE_INTERVAL
-            print(line(), file=sys.stderr, flush=True)
+            print(line, file=sys.stderr, flush=True)
 
 
 class Interruption:

@@ -133,13 +133,14 @@ class SceneBuilder:
             scene = last.scene
         else:
             scene = build_scene(inputs, self.limits)
+        self.limits.check_particles(scene.garment.particle_count)
         simulation = Simulation(scene)
         return Run(inputs, scene, simulation, simulation.describe())
 
 
 def _line(error: Exception, what: str) -> str:
     if isinstance(error, ClothError):
-        return str(error)
+        return f"{what} refused: {error}"
     where = traceback.extract_tb(error.__traceback__)[-1].name
     text = " ".join(str(error).split())
-    return f"{what}: {type(error).__name__} in {where}: {text}; please report it with what you sent"
+    return f"{what} refused: {type(error).__name__} in {where}: {text}; please report it with what you sent"

@@ -53,6 +53,18 @@ class Limits:
     max_particles: int = 200_000
     max_triangles: int = 500_000
 
+    def check_particles(self, count: int) -> None:
+        """Refuses a garment of more particles.
+
+        Raises:
+            SceneError: says how many.
+        """
+        if count > self.max_particles:
+            raise SceneError(
+                f"garment: {count} particles are more than max_particles = {self.max_particles}; "
+                "choose a coarser quality, a smaller garment or raise the parameter"
+            )
+
 
 @dataclass(frozen=True, eq=False)
 class ReceivedBody:
@@ -112,9 +124,9 @@ def build_scene(inputs: SceneInputs, limits: Limits) -> Scene:
     settings = parameters.settings()
     # The grid has one particle per cell, so the area alone tells a scene that is far too large before it is built.
     area = sum(abs(panel.area) for panel in inputs.pattern.panels.values())
-    _check_particles(round(area / settings.spacing**2), settings.spacing, limits)
+    limits.check_particles(round(area / settings.spacing**2))
     body = None if inputs.body is None else inputs.body.body
-    scene = Scene.build(
+    return Scene.build(
         inputs.pattern,
         body,
         Fabric.preset(parameters.fabric),
@@ -122,13 +134,3 @@ def build_scene(inputs: SceneInputs, limits: Limits) -> Scene:
         gravity=parameters.gravity,
         air_drag=parameters.air_drag,
     )
-    _check_particles(scene.garment.particle_count, settings.spacing, limits)
-    return scene
-
-
-def _check_particles(count: int, spacing: float, limits: Limits) -> None:
-    if count > limits.max_particles:
-        raise SceneError(
-            f"pattern: {count} particles {1000 * spacing:g} mm apart are more than max_particles = "
-            f"{limits.max_particles}; choose a coarser quality, a smaller garment or raise the parameter"
-        )

@@ -223,7 +223,7 @@ class SimulationWorker:
             run, state = self._run, self._state()
         level, message = Level.OK, state
         if self._refusal:
-            level, message = Level.WARN, f"{state}; refused: {self._refusal}"
+            level, message = Level.WARN, f"{state}; {self._refusal}"
         if self._failure:
             level, message = Level.ERROR, self._failure
         details: dict[str, object] = {"state": state}
@@ -319,7 +319,7 @@ class SimulationWorker:
             with self._wake:
                 self._wake.wait_for(lambda: self._closing or self._next_run or self._has_work())
                 if self._closing:
-                    return
+                    break
                 new, self._next_run = self._next_run, None
                 if new is not None:
                     self._run = new
@@ -334,6 +334,8 @@ class SimulationWorker:
                 self._move(run, mode)
             except Exception as error:  # the last good state stays, and the node goes on
                 self._fail(run, error)
+        if self._run is not None and self._run.messages is not None:
+            self._do_tasks(self._run)
 
     def _has_work(self) -> bool:
         if self._run is None:
@@ -399,12 +401,15 @@ class SimulationWorker:
             self._next_frame = now + 1.0 / self._settings.publish_rate
             self._send_frame(run)
         self._take_snapshot(run)
+        self._do_tasks(run)
+        with self._wake:
+            return self._closing or self._next_run is not None or self._resetting or self._mode is not mode
+
+    def _do_tasks(self, run: Run) -> None:
         with self._wake:
             tasks, self._tasks = self._tasks, deque()
         for task in tasks:
             task(run)
-        with self._wake:
-            return self._closing or self._next_run is not None or self._resetting or self._mode is not mode
 
     def _take_snapshot(self, run: Run) -> None:
         self._progress = run.simulation.progress

@@ -1,0 +1,202 @@
+"""What the experiments of these tests are set up with: patterns, sheets, chains, bodies, and a loop of bare steps."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from cloth_core.body import Body
+from cloth_core.contact import ContactSettings, ContactState
+from cloth_core.fabric import Fabric
+from cloth_core.garment import Garment
+from cloth_core.pattern import Pattern
+from cloth_core.sewing import SeamPull
+from cloth_core.step import ForceTerms, run_steps
+from cloth_core.strain_limit import StrainLimit
+
+__all__ = [
+    "GRAVITY",
+    "body_of",
+    "chain",
+    "crossings",
+    "do_steps",
+    "force_terms",
+    "no_contact",
+    "panel",
+    "pattern",
+    "placed",
+    "plain_fabric",
+    "rectangle",
+    "sheet",
+]
+
+Floats = NDArray[np.float64]
+GRAVITY = 9.80665
+
+# ---- patterns and sheets
+
+
+def panel(
+    vertices: Sequence[Sequence[float]], *, at: Sequence[float] = (0, 0, 0), turned: Sequence[float] = (0, 0, 0)
+) -> dict[str, Any]:
+    """A panel of straight edges in the file's axes (y up, +z in front) [m]."""
+    count = len(vertices)
+    return {
+        "translation": list(at),
+        "rotation": list(turned),
+        "vertices": [list(v) for v in vertices],
+        "edges": [{"endpoints": [i, (i + 1) % count]} for i in range(count)],
+    }
+
+
+def rectangle(width: float, height: float, **placement: Any) -> dict[str, Any]:
+    """A rectangle around its own origin; edges 0 to 3 are the lower, right, upper and left one."""
+    w, h = width / 2, height / 2
+    return panel([(-w, -h), (w, -h), (w, h), (-w, h)], **placement)
+
+
+def pattern(panels: Mapping[str, dict[str, Any]], stitches: Sequence[tuple[Any, ...]] = (), name: str = "it") -> Pattern:
+    """A pattern in metres; stitches are ((panel, edge), (panel, edge)) or with a third entry "right_wrong"."""
+    rows = [[{"panel": p, "edge": e} for p, e in s[:2]] + list(s[2:]) for s in stitches]
+    data = {
+        "pattern": {"panels": dict(panels), "stitches": rows, "panel_order": list(panels)},
+        "properties": {"curvature_coords": "relative", "units_in_meter": 1},
+    }
+    return Pattern.from_json(json.dumps(data), name)
+
+
+def sheet(width: float, height: float, spacing: float, z: float = 0.0) -> Garment:
+    """A level sheet at height z [m], weft along x and warp along y, its normal up."""
+    flat = pattern({"sheet": rectangle(width, height, at=(0, z, 0), turned=(-90, 0, 0))}, name="sheet")
+    return Garment.from_pattern(flat, spacing)
+
+
+def placed(garment: Garment, rotation: ArrayLike | None = None, move: ArrayLike = (0.0, 0.0, 0.0)) -> Garment:
+    """The garment with its start positions turned by a matrix (3, 3) and then moved [m]."""
+    turn = np.eye(3) if rotation is None else np.asarray(rotation)
+    return replace(
+        garment, start=garment.start @ turn.T + np.asarray(move), panel_normals=garment.panel_normals @ turn.T
+    )
+
+
+def plain_fabric(**changes: Any) -> Fabric:
+    """A soft fabric without damping, friction or the third spring family, so that a test adds what it is about."""
+    values: dict[str, Any] = {
+        "area_density": 0.2,
+        "structural_warp": 400.0,
+        "structural_weft": 400.0,
+        "shear": 100.0,
+        "bending": 1e-5,
+        "bending_spring": 0.0,
+        "damping_time": 0.0,
+        "bending_damping_time": 0.0,
+        "friction": 0.0,
+        "strain_limit": 10.0,
+    }
+    return Fabric(name="plain", **(values | changes))
+
+
+# ---- bodies
+
+
+def body_of(mesh: trimesh.Trimesh, rotation: ArrayLike | None = None, move: ArrayLike = (0.0, 0.0, 0.0)) -> Body:
+    """A trimesh as a body, turned and moved."""
+    turn = np.eye(3) if rotation is None else np.asarray(rotation)
+    return Body.from_arrays(np.asarray(mesh.vertices) @ turn.T + np.asarray(move), np.asarray(mesh.faces), "test body")
+
+
+def crossings(x: Floats, triangles: NDArray[np.int32], body: Body) -> int:
+    """Sides of the cloth through the body and of the body through the cloth, counted without any tree, by Moeller and
+    Trumbore's formula: a different one from that of the package."""
+    total = 0
+    cloth, obstacle = (x, triangles), (body.vertices, body.triangles)
+    for (va, ta), (vb, tb) in ((cloth, obstacle), (obstacle, cloth)):
+        sides = np.unique(np.sort(np.concatenate([ta[:, [0, 1]], ta[:, [1, 2]], ta[:, [2, 0]]]), axis=1), axis=0)
+        corner = vb[tb]
+        e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        for p, q in sides:
+            way = va[q] - va[p]
+            h = np.cross(way, e2)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                f = 1.0 / (e1 * h).sum(1)
+                s = va[p] - corner[:, 0]
+                u = f * (s * h).sum(1)
+                k = np.cross(s, e1)
+                v = f * (way * k).sum(1)
+                t = f * (e2 * k).sum(1)
+                total += bool(((u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)).any())
+    return total
+
+
+# ---- bare steps, without a Simulation
+
+
+def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
+    """Force terms of particles of the given masses [kg]; what is not given is absent. `held` lists fixed particles."""
+    m = np.array(mass, dtype=float)
+    inverse = 1.0 / m
+    inverse[np.asarray(given.pop("held", []), dtype=int)] = 0.0
+    ints = {"spring_pairs": 2, "lines": 3, "hinges": 4}
+    values: dict[str, Any] = {name: np.zeros((0, width), dtype=np.int32) for name, width in ints.items()}
+    values |= {
+        "mass": m,
+        "inverse_mass": inverse,
+        "gravity": np.zeros(3),
+        "air_drag": 0.0,
+        "spring_rest_length": np.zeros(0),
+        "spring_stiffness": np.zeros(0),
+        "spring_damping_time": 0.0,
+        "line_stiffness": np.zeros(0),
+        "hinge_weights": np.zeros((0, 4)),
+        "hinge_stiffness": np.zeros(0),
+        "bending_damping_time": 0.0,
+        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), 0.0, 0.0, 0.0),
+    }
+    springs = len(given.get("spring_pairs", ()))
+    values["strain_limit"] = StrainLimit(  # no spring has one
+        np.full(springs, np.inf), np.full(springs, np.inf), np.zeros(springs), np.zeros(springs, dtype=np.int32),
+        np.zeros(1, dtype=np.int32),
+    )  # fmt: skip
+    for key, value in given.items():
+        values[key] = np.asarray(value, dtype=np.int32 if key in ints else float) if key in values else value
+    for key in ("air_drag", "spring_damping_time", "bending_damping_time"):
+        values[key] = float(values[key])
+    return ForceTerms(**values)
+
+
+def chain(count: int, mass: float, stiffness: float, length: float, **given: Any) -> tuple[Floats, ForceTerms]:
+    """`count` equal masses [kg] below a held particle 0, each on a spring of that stiffness [N/m] and length [m]."""
+    x = np.zeros((count + 1, 3))
+    x[:, 2] = -length * np.arange(count + 1)
+    links = np.stack([np.arange(count), np.arange(1, count + 1)], axis=1)
+    terms = force_terms(
+        np.full(count + 1, mass),
+        held=given.pop("held", [0]),
+        spring_pairs=links,
+        spring_rest_length=np.full(count, length),
+        spring_stiffness=np.full(count, stiffness),
+        **given,
+    )
+    return x, terms
+
+
+def no_contact() -> ContactSettings:
+    """Nothing to collide with."""
+    return ContactSettings(
+        active=False, body_vertices=np.zeros((0, 3)), body_triangles=np.zeros((0, 3), dtype=np.int32), offset=0.0,
+        friction=0.0, push_speed=0.0,
+    )  # fmt: skip
+
+
+def do_steps(x: Floats, v: Floats, terms: ForceTerms, dt: float, count: int, openness: float = 0.0) -> None:
+    """`count` steps of the package's compiled loop, in place, with nothing to collide with."""
+    done = run_steps(
+        x, v, np.zeros_like(x), np.zeros(len(x)), terms, no_contact(), ContactState.none(), dt, count, openness, 0.0
+    )
+    assert done == count
