@@ -57,7 +57,7 @@ class Fabric:
     shear: float
     bending: float
     bending_spring: float = 0.0
-    damping_time: float = 2e-5
+    damping_time: float = 1e-5
     bending_damping_time: float = 5e-3
     friction: float = 0.35
     thickness: float = 5e-4

@@ -43,6 +43,7 @@ GOODBYE_TIME = 15.0
 LINE_INTERVAL = 5.0
 """Between two lines of progress [s]."""
 SHOWN_VALUES = ("phase", "simulated time [s]", "speed [simulated s per s]", "expected rest at [s]")
+RESULTS = ("run.mcap", "garment.glb", "picture.png", "report.json")
 DATA = resources.files("cloth_core") / "data"
 
 
@@ -159,8 +160,8 @@ def running_node(record_directory: Path, quality: str, log_path: Path) -> Iterat
             say(f"stopped the node (process {process.pid}, exit code {process.returncode})")
 
 
-def demonstrate(client: DemoClient, pattern: str, body: str, timeout: float) -> dict[str, Any]:
-    """Drapes built-in garment and body through topics and services, recording meanwhile; the report."""
+def demonstrate(client: DemoClient, records: Path, pattern: str, body: str, timeout: float) -> dict[str, Any]:
+    """Drapes built-in garment and body through topics and services, recording into `records`; the report."""
     say("~/record: " + client.call("record", SetBool.Request(data=True)))
     with resources.as_file(DATA / "bodies" / f"{body}.ply") as path:
         client.publish_body(path)
@@ -178,17 +179,19 @@ def demonstrate(client: DemoClient, pattern: str, body: str, timeout: float) -> 
     client.wait_until(lambda: client.report is not None, "the garment is at rest", timeout)
     say("~/report: the run has ended")
     say("~/save: " + client.call("save"))
+    client.wait_until(lambda: any(records.glob("*.glb")), "the garment is saved", ANSWER_TIME)
     say("~/record: " + client.call("record", SetBool.Request(data=False)))
     assert client.report is not None
     return client.report
 
 
 def keep_results(records: Path, output: Path, report: dict[str, Any]) -> None:
-    """Leaves run.mcap, picture.png and report.json in `output`."""
-    logs = sorted(records.glob("*.mcap"))
-    if len(logs) != 1:
-        raise DemoError(f"{records}: {len(logs)} logs were recorded instead of one")
-    shutil.move(logs[0], output / "run.mcap")
+    """Leaves run.mcap, garment.glb, picture.png and report.json in `output`."""
+    for kind, name in ((".mcap", "run.mcap"), (".glb", "garment.glb")):
+        files = sorted(records.glob(f"*{kind}"))
+        if len(files) != 1:
+            raise DemoError(f"{records}: the node has written {len(files)} files {kind} instead of one")
+        shutil.move(files[0], output / name)
     write_file(output / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     say("drawing the end of the log")
     render_log(output / "run.mcap", output / "picture.png")
@@ -202,8 +205,8 @@ def summarise(report: dict[str, Any], output: Path) -> None:
         f"{1000 * report['max_seam_gap']:.2g} mm; edges through the body {report['body_intersections']}; deepest "
         f"penetration {1000 * report['max_penetration']:.2g} mm"
     )
-    for name, what in (("run.mcap", "log"), ("picture.png", "picture"), ("report.json", "report")):
-        say(f"{what}: {output / name}")
+    for name in RESULTS:
+        say(f"wrote {output / name}")
 
 
 @click.command()
@@ -213,7 +216,7 @@ def summarise(report: dict[str, Any], output: Path) -> None:
 @click.option("--quality", default="normal", show_default=True, help="draft, normal or fine.")
 @click.option("--timeout", default=600.0, show_default=True, help="Longest wait for rest [s].")
 def main(output: Path, pattern: str, body: str, quality: str, timeout: float) -> None:
-    """Drapes a garment through the ROS interface and leaves run.mcap, picture.png and report.json in OUTPUT."""
+    """Drapes a garment through the ROS interface and leaves log, mesh, picture and report in OUTPUT."""
     # A graph of its own, on this machine only, so that neither a stray node nor a neighbour takes part.
     domain = random.SystemRandom().randint(1, 101)
     os.environ["ROS_DOMAIN_ID"] = str(domain)
@@ -227,7 +230,7 @@ def main(output: Path, pattern: str, body: str, quality: str, timeout: float) ->
             with running_node(Path(records), quality, output / "node.log") as process:
                 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
                 try:
-                    report = demonstrate(DemoClient(process), pattern, body, timeout)
+                    report = demonstrate(DemoClient(process), Path(records), pattern, body, timeout)
                 finally:
                     rclpy.shutdown()
             keep_results(Path(records), output, report)

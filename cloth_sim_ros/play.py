@@ -23,8 +23,8 @@ Progress = Callable[[float, float], None]
 
 LONGEST_SLEEP = 0.1
 """Between two looks at whether playing is to end [s]."""
-DISCOVERY_TIME = 0.5
-"""Pause before the first message, in which subscribers find the publishers [s]."""
+DISCOVERY_TIME = 3.0
+"""How long the first message waits for somebody to listen [s]."""
 LAST_DELIVERY = 5.0
 """How long the end waits for slow subscribers [s]."""
 
@@ -65,7 +65,7 @@ def play_log(
 
 def _play(node: Node, log: LogReader, rate: float, loop: bool, progress: Progress | None) -> None:
     publishers = _create_publishers(node, log)
-    time.sleep(DISCOVERY_TIME)
+    _wait_for_subscribers(publishers)
     again = True
     while again and ok():
         began = time.monotonic()
@@ -91,6 +91,15 @@ def _create_publishers(node: Node, log: LogReader) -> dict[str, Publisher]:
             qos = recorded_qos_profile(message.qos)
             publishers[message.topic] = node.create_publisher(message_class, message.topic, qos)
     return publishers
+
+
+def _wait_for_subscribers(publishers: dict[str, Publisher]) -> None:
+    """Until the first one is found, or long enough to say that there is none."""
+    deadline = time.monotonic() + DISCOVERY_TIME
+    while ok() and time.monotonic() < deadline:
+        if any(publisher.get_subscription_count() for publisher in publishers.values()):
+            return
+        time.sleep(0.02)
 
 
 def _sleep_until(moment: float) -> bool:

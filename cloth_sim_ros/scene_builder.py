@@ -11,7 +11,6 @@ from cloth_core.errors import ClothError
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
-from cloth_sim_ros.run_messages import RunMessages
 from cloth_sim_ros.scene_inputs import Limits, SceneInputs, SceneParameters, build_scene
 
 __all__ = ["Change", "Run", "SceneBuilder"]
@@ -29,12 +28,8 @@ class Run:
     simulation: Simulation
     description: dict[str, Any]
     """`Simulation.describe` at the start, which other threads can read while it runs."""
-    messages: RunMessages | None = None
-    """The clock of its messages, once it begins."""
     report: Report | None = None
     """Once it is at rest."""
-    sent_time: float = -1.0
-    """Simulated time of the last frame sent [s]."""
 
 
 class SceneBuilder:

@@ -4,7 +4,6 @@ The simulation thread steps the present run, a few milliseconds a tick. The buil
 that cannot be built leaves the present run as it is, and one that can replaces it between two ticks.
 """
 
-import json
 import threading
 import time
 from collections import deque
@@ -25,13 +24,13 @@ from cloth_core.simulation import Progress
 from cloth_core.springs import spring_strains
 from cloth_sim_ros.diagnostics import run_status
 from cloth_sim_ros.log_writer import LogError
-from cloth_sim_ros.messages import Level, encode_diagnostics, encode_string
+from cloth_sim_ros.messages import Level, encode_diagnostics
 from cloth_sim_ros.outlet import Listener, Outlet
 from cloth_sim_ros.output_files import free_path
-from cloth_sim_ros.run_messages import RunMessages
+from cloth_sim_ros.run_sender import RunSender
 from cloth_sim_ros.scene_builder import Run, SceneBuilder
 from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters
-from cloth_sim_ros.topics import BODY, BODY_MARKER, DEFAULT_NODE_NAME, DIAGNOSTICS, GARMENT, PARAMETERS, PATTERN, REPORT
+from cloth_sim_ros.topics import DEFAULT_NODE_NAME, DIAGNOSTICS
 
 __all__ = ["SimulationWorker", "WorkerSettings"]
 
@@ -101,6 +100,8 @@ class SimulationWorker:
         self._refusal = ""
         self._failure = ""
 
+        # Used by the simulation thread alone.
+        self._sender: RunSender | None = None
         self._next_frame = 0.0
         self._next_strain = 0.0
         self._builder = SceneBuilder(
@@ -297,7 +298,7 @@ class SimulationWorker:
     def _on_accepted(self, inputs: SceneInputs, run: Run | None) -> None:
         self._refusal = ""
         if run is None:
-            self._send_body(inputs, self._messages(inputs.parameters))
+            RunSender(inputs, self._outlet).body()
             return
         with self._wake:
             self._next_run = run
@@ -334,7 +335,7 @@ class SimulationWorker:
                 self._move(run, mode)
             except Exception as error:  # the last good state stays, and the node goes on
                 self._fail(run, error)
-        if self._run is not None and self._run.messages is not None:
+        if self._run is not None:
             self._do_tasks(self._run)
 
     def _has_work(self) -> bool:
@@ -343,18 +344,9 @@ class SimulationWorker:
         return bool(self._tasks) or not (self._mode is _Mode.PAUSED or self._resetting or self._is_over())
 
     def _begin(self, run: Run) -> None:
-        """Sends all that a late joiner or a log needs to know of a new run."""
-        assert run.inputs.pattern is not None
         self._failure = ""
-        self._outlet.forget(REPORT)
-        parameters = run.inputs.parameters
-        run.messages = self._messages(parameters)
-        start = run.messages.start
-        self._outlet.send(PATTERN, encode_string(run.inputs.pattern.source), start)
-        repeatable = {**parameters.to_dict(), "settings": asdict(run.scene.settings)}
-        self._outlet.send(PARAMETERS, encode_string(json.dumps(repeatable, sort_keys=True)), start)
-        self._send_body(run.inputs, run.messages)
-        self._send_frame(run)
+        self._sender = RunSender(run.inputs, self._outlet)
+        self._sender.begin(run)
         self._next_strain = 0.0
         self._take_snapshot(run)
         for warning in run.scene.warnings:
@@ -381,8 +373,7 @@ class SimulationWorker:
                 interrupted = self._between_ticks(run, mode)
             report = simulation.report() if simulation.settled else None
         self._take_snapshot(run)
-        if simulation.time != run.sent_time:
-            self._send_frame(run)
+        self._send_last_frame(run)
         if report is not None and not interrupted:
             self._pause_after(mode)
             self._send_report(run, report)
@@ -397,9 +388,9 @@ class SimulationWorker:
     def _between_ticks(self, run: Run, mode: _Mode) -> bool:
         """Sends and measures what is due and does the tasks; true if the present motion is to end."""
         now = time.monotonic()
-        if now >= self._next_frame and run.simulation.time != run.sent_time and self._outlet.wants_frames():
+        if now >= self._next_frame and self._outlet.wants_frames():
             self._next_frame = now + 1.0 / self._settings.publish_rate
-            self._send_frame(run)
+            self._send_last_frame(run)
         self._take_snapshot(run)
         self._do_tasks(run)
         with self._wake:
@@ -425,8 +416,7 @@ class SimulationWorker:
         with self._wake:
             self._mode = _Mode.PAUSED
         self._progress = run.simulation.progress
-        if run.messages is not None and run.simulation.time != run.sent_time:
-            self._send_frame(run)
+        self._send_last_frame(run)
         self._listener.warn(self._failure)
 
     def _write_result(self, run: Run, mesh_path: Path, report_path: Path) -> None:
@@ -439,32 +429,16 @@ class SimulationWorker:
         except ClothError as error:
             self._listener.warn(str(error))
 
-    # -- messages ------------------------------------------------------------------------------------------------------
-
-    def _messages(self, parameters: SceneParameters) -> RunMessages:
-        return RunMessages(
-            self._outlet.next_start(),
-            parameters.frame_id,
-            garment_color=parameters.garment_color,
-            body_color=parameters.body_color,
-        )
-
-    def _send_body(self, inputs: SceneInputs, messages: RunMessages) -> None:
-        if inputs.body is None:
-            return
-        body = inputs.body.body
-        self._outlet.send(BODY, inputs.body.message, messages.start)
-        self._outlet.send(BODY_MARKER, messages.body(body.vertices, body.triangles), messages.start)
-
     def _send_frame(self, run: Run) -> None:
-        assert run.messages is not None
-        simulation = run.simulation
-        run.sent_time = simulation.time
-        data = run.messages.garment(simulation.time, simulation.positions, simulation.triangles)
-        self._outlet.send(GARMENT, data, run.messages.stamp(simulation.time))
+        if self._sender is not None:
+            self._sender.frame(run)
+
+    def _send_last_frame(self, run: Run) -> None:
+        if self._sender is not None and self._sender.is_behind(run):
+            self._sender.frame(run)
 
     def _send_report(self, run: Run, report: Report) -> None:
-        assert run.messages is not None
         if run.simulation.settled:
             run.report = report
-        self._outlet.send(REPORT, encode_string(report.to_json()), run.messages.stamp(run.simulation.time))
+        if self._sender is not None:
+            self._sender.report(run, report)

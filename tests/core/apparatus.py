@@ -17,6 +17,7 @@ from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern
 from cloth_core.sewing import SeamPull
+from cloth_core.simulation import Simulation
 from cloth_core.step import ForceTerms, run_steps
 from cloth_core.strain_limit import StrainLimit
 
@@ -34,6 +35,7 @@ __all__ = [
     "plain_fabric",
     "rectangle",
     "sheet",
+    "throw",
 ]
 
 Floats = NDArray[np.float64]
@@ -112,26 +114,38 @@ def body_of(mesh: trimesh.Trimesh, rotation: ArrayLike | None = None, move: Arra
 
 
 def crossings(x: Floats, triangles: NDArray[np.int32], body: Body) -> int:
-    """Sides of the cloth through the body and of the body through the cloth, counted without any tree, by Moeller and
-    Trumbore's formula: a different one from that of the package."""
-    total = 0
+    """Sides of the cloth through the body and of the body through the cloth: all against all, without any tree.
+
+    By the formula of Moeller and Trumbore, which is not the package's.
+    """
     cloth, obstacle = (x, triangles), (body.vertices, body.triangles)
-    for (va, ta), (vb, tb) in ((cloth, obstacle), (obstacle, cloth)):
-        sides = np.unique(np.sort(np.concatenate([ta[:, [0, 1]], ta[:, [1, 2]], ta[:, [2, 0]]]), axis=1), axis=0)
-        corner = vb[tb]
-        e1, e2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        for p, q in sides:
-            way = va[q] - va[p]
-            h = np.cross(way, e2)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                f = 1.0 / (e1 * h).sum(1)
-                s = va[p] - corner[:, 0]
-                u = f * (s * h).sum(1)
-                k = np.cross(s, e1)
-                v = f * (way * k).sum(1)
-                t = f * (e2 * k).sum(1)
-                total += bool(((u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)).any())
-    return total
+    return _sides_through(*cloth, *obstacle) + _sides_through(*obstacle, *cloth)
+
+
+def _sides_through(va: Floats, ta: NDArray[np.int32], vb: Floats, tb: NDArray[np.int32]) -> int:
+    sides = np.unique(np.sort(np.concatenate([ta[:, [0, 1]], ta[:, [1, 2]], ta[:, [2, 0]]]), axis=1), axis=0)
+    ends, corner = va[sides], vb[tb]
+    # Only what lies in the box of the other mesh can cross it.
+    ends = ends[((ends.max(1) >= vb.min(0)) & (ends.min(1) <= vb.max(0))).all(1)]
+    corner = corner[((corner.max(1) >= va.min(0)) & (corner.min(1) <= va.max(0))).all(1)]
+    if len(ends) == 0 or len(corner) == 0:
+        return 0
+    p, way = ends[:, None, 0], (ends[:, 1] - ends[:, 0])[:, None]
+    e1, e2 = corner[None, :, 1] - corner[None, :, 0], corner[None, :, 2] - corner[None, :, 0]
+    h = np.cross(way, e2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        f = 1.0 / (e1 * h).sum(-1)
+        s = p - corner[None, :, 0]
+        k = np.cross(s, e1)
+        u, v, t = f * (s * h).sum(-1), f * (way * k).sum(-1), f * (e2 * k).sum(-1)
+        return int(((u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)).any(axis=1).sum())
+
+
+def throw(simulation: Simulation, velocity: ArrayLike) -> None:
+    """Give the particles a velocity [m/s], one for all or (k, 3)."""
+    simulation._v[:] = velocity
+    if simulation.model.contact is not None:
+        simulation._search_contacts()  # how far it looks depends on the speed
 
 
 # ---- bare steps, without a Simulation

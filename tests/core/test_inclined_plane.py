@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from apparatus import GRAVITY, body_of, placed, plain_fabric, sheet
+from apparatus import GRAVITY, body_of, placed, plain_fabric, sheet, throw
 from scipy.spatial.transform import Rotation
 
 from cloth_core.quality import Settings
@@ -31,7 +31,7 @@ def on_a_slope(angle: float, friction: float, speed: float = 0.0, body: str = "b
     )  # fmt: skip
     simulation = Simulation(scene)
     downhill = turn @ [1.0, 0.0, 0.0]
-    simulation._v[:] = speed * downhill
+    throw(simulation, speed * downhill)
     return simulation, downhill
 
 
