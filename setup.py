@@ -20,14 +20,19 @@ RUNTIME = [
     "scipy>=1.11.4",
     "shapely>=2.1",
     "trimesh>=4.0",
+    "zstandard>=0.22",
 ]
 ROS = ["pyyaml>=6.0", "ros-jazzy-common-interfaces>=5.3.6", "ros-jazzy-rclpy[fastrtps]>=7.1.6"]
 TEST = [
     # The suite as such.
     "hypothesis>=6.100",
-    "mcap-ros2-support>=0.5",
     "pytest>=8.0",
+    # Independent truths: other people's readers of logs, distances and intersections, curves, and what trimesh needs.
+    "ipctk>=1.3",
+    "mcap-ros2-support>=0.5",
     "rosbags>=0.10",
+    "rtree>=1.0",
+    "svgpathtools>=1.6",
     # `colcon build` without apt: the smallest set that builds an ament_python package and shows what failed.
     "colcon-core>=0.18",
     "colcon-output>=0.2.13",

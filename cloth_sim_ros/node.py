@@ -143,13 +143,13 @@ class ClothSimNode(Node):
                 raise PatternError(f"pattern message: {len(data)} bytes are more than {MAX_TEXT_BYTES}; simplify it")
             self._worker.load_pattern(decode_string(data, "pattern message"))
         except ClothError as error:
-            self._worker.refuse(str(error))
+            self._worker.refuse(f"pattern refused: {error}")
 
     def _on_body(self, data: bytes) -> None:
         try:
             self._worker.load_body(*decode_mesh(data, self._values["max_triangles"]))
         except ClothError as error:
-            self._worker.refuse(str(error))
+            self._worker.refuse(f"body refused: {error}")
 
     def _trigger(self, command: Callable[[], str]) -> Callable[[Any, Any], Any]:
         return lambda _, response: self._answer(command, response)

@@ -98,13 +98,15 @@ class SceneBuilder:
                 changes, self._changes = self._changes, {}
                 self._rebuild = False
                 self._busy_with_garment = self._inputs.pattern is not None or "pattern" in changes
-            self._accept(list(changes.items()))
+            refusals = self._accept(list(changes.items()))
             with self._wake:
                 self._busy_with_garment = False
+            for line in refusals:
+                self._refused(line)
 
-    def _accept(self, changes: list[tuple[str, Change]]) -> None:
+    def _accept(self, changes: list[tuple[str, Change]]) -> list[str]:
         """Takes all changes together, so that a pattern and a body that arrive together cost one scene; if that fails,
-        one after the other.
+        one after the other. Returns why some were not taken.
         """
         inputs = replace(self._inputs, parameters=self.parameters)
         try:
@@ -112,13 +114,11 @@ class SceneBuilder:
             run = self._build(inputs)
         except Exception as error:  # whatever a message brought about, the next one is served
             if len(changes) > 1:
-                for change in changes:
-                    self._accept([change])
-            else:
-                self._refused(_line(error, changes[0][0] if changes else "reset"))
-            return
+                return [line for change in changes for line in self._accept([change])]
+            return [_line(error, changes[0][0] if changes else "reset")]
         self._inputs, self._present = inputs, run
         self._accepted(inputs, run)
+        return []
 
     def _build(self, inputs: SceneInputs) -> Run | None:
         if inputs.pattern is None:

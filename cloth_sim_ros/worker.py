@@ -257,7 +257,7 @@ class SimulationWorker:
 
     def _need_garment(self, command: str) -> None:
         if self._run is None and not self._is_building():
-            raise SceneError(f"{command}: there is no garment; publish a pattern first")
+            raise SceneError(f"{command}: there is no garment; {self._refusal or 'publish a pattern first'}")
 
     def _need_unfinished_run(self, command: str) -> None:
         self._need_garment(command)
@@ -274,7 +274,9 @@ class SimulationWorker:
     def _set_mode(self, mode: _Mode, answer: str) -> str:
         self._mode = mode
         self._wake.notify_all()
-        return f"{answer}, once the garment is built" if self._is_building() else answer
+        if self._is_building():
+            return f"{answer}, once the garment is built"
+        return f"{answer}; {self._refusal}" if self._refusal else answer
 
     def _add_task(self, task: Callable[[Run], None]) -> None:
         self._tasks.append(task)
@@ -321,22 +323,26 @@ class SimulationWorker:
                 self._wake.wait_for(lambda: self._closing or self._next_run or self._has_work())
                 if self._closing:
                     break
-                new, self._next_run = self._next_run, None
-                if new is not None:
-                    self._run = new
-                    if self._settings.auto_start and self._mode is _Mode.PAUSED:
-                        self._mode = _Mode.MOTION
-                run, mode = self._run, self._mode
-                mode = _Mode.PAUSED if self._resetting else mode
+                new = self._next_run
+                run = new or self._run
             assert run is not None
             try:
                 if new is not None:
                     self._begin(new)
-                self._move(run, mode)
+                self._move(run, self._take_over(run))
             except Exception as error:  # the last good state stays, and the node goes on
                 self._fail(run, error)
         if self._run is not None:
             self._do_tasks(self._run)
+
+    def _take_over(self, run: Run) -> _Mode:
+        """Makes a run the present one, and says what it is to do."""
+        with self._wake:
+            if run is self._next_run:
+                self._run, self._next_run = run, None
+                if self._settings.auto_start and self._mode is _Mode.PAUSED:
+                    self._mode = _Mode.MOTION
+            return _Mode.PAUSED if self._resetting else self._mode
 
     def _has_work(self) -> bool:
         if self._run is None:
@@ -413,6 +419,7 @@ class SimulationWorker:
     def _fail(self, run: Run, error: Exception) -> None:
         line = str(error) if isinstance(error, ClothError) else f"{type(error).__name__}: {error}; please report it"
         self._failure = f"the run failed: {line}"
+        self._take_over(run)
         with self._wake:
             self._mode = _Mode.PAUSED
         self._progress = run.simulation.progress

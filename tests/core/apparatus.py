@@ -35,6 +35,7 @@ __all__ = [
     "plain_fabric",
     "rectangle",
     "sheet",
+    "sides_through",
     "throw",
 ]
 
@@ -119,10 +120,11 @@ def crossings(x: Floats, triangles: NDArray[np.int32], body: Body) -> int:
     By the formula of Moeller and Trumbore, which is not the package's.
     """
     cloth, obstacle = (x, triangles), (body.vertices, body.triangles)
-    return _sides_through(*cloth, *obstacle) + _sides_through(*obstacle, *cloth)
+    return sides_through(*cloth, *obstacle) + sides_through(*obstacle, *cloth)
 
 
-def _sides_through(va: Floats, ta: NDArray[np.int32], vb: Floats, tb: NDArray[np.int32]) -> int:
+def sides_through(va: Floats, ta: NDArray[np.int32], vb: Floats, tb: NDArray[np.int32]) -> int:
+    """Number of sides of one mesh, (n, 3) and (m, 3), that cross any triangle of the other."""
     sides = np.unique(np.sort(np.concatenate([ta[:, [0, 1]], ta[:, [1, 2]], ta[:, [2, 0]]]), axis=1), axis=0)
     ends, corner = va[sides], vb[tb]
     # Only what lies in the box of the other mesh can cross it.
@@ -178,7 +180,8 @@ def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
         np.zeros(1, dtype=np.int32),
     )  # fmt: skip
     for key, value in given.items():
-        values[key] = np.asarray(value, dtype=np.int32 if key in ints else float) if key in values else value
+        array = key in values and not isinstance(value, StrainLimit)
+        values[key] = np.asarray(value, dtype=np.int32 if key in ints else float) if array else value
     for key in ("air_drag", "spring_damping_time", "bending_damping_time"):
         values[key] = float(values[key])
     return ForceTerms(**values)

@@ -3,7 +3,6 @@
 import json
 import re
 import signal
-import time
 
 import numpy as np
 import pytest
@@ -137,6 +136,10 @@ def simulated(size):
 def test_malformed_messages_are_refused_and_the_old_garment_goes_on(start_node, client):
     node = start_node(max_triangles=1000)
     client.subscribe("garment")
+    client.pattern.publish(encode_string("cloth"))
+    client.wait(lambda: refusal(client))
+    assert not (answer := client.call("start")).success
+    assert re.fullmatch("start: there is no garment; pattern refused: not JSON.*", answer.message)
     garment_of(client, 0.25)
     scene = client.describe()["scene"]
     client.call("start")
@@ -154,6 +157,7 @@ def test_malformed_messages_are_refused_and_the_old_garment_goes_on(start_node, 
             publisher.publish(data)
             refused = client.wait(lambda complaint=complaint: complaint in (said := refusal(client)) and said)
             assert "\n" not in refused, what
+            assert client.call("start").message == f"running; {refused}"
     described = client.describe()
     assert described["scene"] == scene
     assert described["state"] == "running"
@@ -270,4 +274,3 @@ def test_a_huge_pattern_message_is_refused(start_node, client):
     start_node()
     client.pattern.publish(serialize_message(String(data=" " * 20_000_000)))
     client.wait(lambda: "bytes are more than" in refusal(client))
-    time.sleep(0.0)

@@ -1,6 +1,7 @@
 """The worker behind the node, without a ROS graph: what it accepts, what it refuses, and what it sends meanwhile."""
 
 import json
+import re
 import threading
 import time
 
@@ -10,12 +11,13 @@ import trimesh
 from small_scenes import BOX_TRIANGLES, BOX_VERTICES, handkerchief
 
 from cloth_core.body import Body
-from cloth_core.errors import ClothError
+from cloth_core.errors import ClothError, SimulationError
 from cloth_core.pattern import Pattern
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
 from cloth_sim_ros.log_reader import LogReader
 from cloth_sim_ros.messages import decode_marker, decode_string
+from cloth_sim_ros.run_sender import RunSender
 from cloth_sim_ros.scene_inputs import Limits, SceneParameters
 from cloth_sim_ros.topics import BODY_MARKER, DIAGNOSTICS, GARMENT, REPORT
 from cloth_sim_ros.worker import SimulationWorker, WorkerSettings
@@ -218,6 +220,7 @@ def test_what_cannot_be_used_is_refused_and_the_old_garment_goes_on(bench, load,
     load(bench.worker)
     bench.listener.wait(lambda: bench.listener.warnings)
     [line] = bench.listener.warnings
+    assert re.match("(pattern|body) refused: ", line)
     assert complaint in line
     assert "\n" not in line
     bench.wait_for_state("running")
@@ -270,8 +273,9 @@ def test_parameters_act_with_the_next_reset(bench):
     assert decode_marker(bench.listener.of(GARMENT)[-1]).frame_id == "map"
     bench.worker.reset()
     bench.listener.wait(lambda: decode_marker(bench.listener.of(GARMENT)[-1]).frame_id == "room")
+    bench.wait_for_state("paused")
     bench.worker.step()
-    bench.listener.wait(lambda: len(bench.listener.of(GARMENT)) == 3)
+    bench.listener.wait(lambda: len(bench.listener.of(GARMENT)) >= 3)
     assert bench.last_points() == pytest.approx(decode_marker(bench.listener.of(GARMENT)[0]).points)
 
 
@@ -284,6 +288,30 @@ def test_limits_hold_for_a_reset_with_a_finer_quality(bench):
     assert "max_particles = 200" in bench.listener.warnings[-1]
     bench.wait_for_state("paused")
     assert bench.worker.describe()["scene"]["particles"] <= 200
+
+
+@pytest.mark.parametrize("error", [SimulationError("particle 3: left all bounds"), ZeroDivisionError("division")])
+@pytest.mark.parametrize("place", [(Simulation, "tick"), (RunSender, "begin")])
+def test_a_run_that_fails_says_so_and_the_next_garment_is_served(bench, monkeypatch, place, error):
+    def fail(*_):
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(*place, fail)
+        bench.worker.load_pattern(handkerchief())
+        bench.wait_for_state("paused")
+        bench.worker.start()
+        bench.listener.wait(lambda: bench.listener.warnings)
+        assert bench.listener.warnings[0].startswith("the run failed: ")
+        assert str(error) in bench.listener.warnings[0]
+        bench.wait_for_state("paused")
+        bench.worker.diagnose()
+        assert bench.listener.warnings[0].encode() in bench.listener.of(DIAGNOSTICS)[-1]
+    bench.give(handkerchief())
+    bench.worker.drape()
+    assert bench.wait_for_report()["settled"]
+    bench.worker.diagnose()
+    assert b"failed" not in bench.listener.of(DIAGNOSTICS)[-1]
 
 
 def test_frames_that_nobody_wants_are_not_made(bench):

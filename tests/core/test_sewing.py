@@ -1,0 +1,240 @@
+"""Seams pull flat panels together, without gravity, and merge; what cannot close is named."""
+
+import numpy as np
+import pytest
+import trimesh
+from apparatus import GRAVITY, body_of, crossings, panel, pattern, plain_fabric, rectangle, throw
+
+from cloth_core.body import Body
+from cloth_core.fabric import Fabric
+from cloth_core.model import Model
+from cloth_core.pattern import Pattern
+from cloth_core.quality import Settings
+from cloth_core.scene import Scene
+from cloth_core.sewing import SeamPull, seam_forces, seam_gaps
+from cloth_core.simulation import Simulation
+
+POPLIN = Fabric.preset("cotton_poplin")
+
+
+def tube(width: float = 0.4, apart: float = 0.1, name: str = "tube", x: float = 0.0, y: float = 1.0) -> Pattern:
+    """Front and back of a tube, flat and apart, 0.3 m high, sewn along their upright edges."""
+    panels = {
+        "front": rectangle(width, 0.3, at=(x, y, apart / 2)),
+        "back": rectangle(width, 0.3, at=(x, y, -apart / 2), turned=(0, 180, 0)),
+    }
+    return pattern(panels, [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))], name=name)
+
+
+def scene_of(patterns: Pattern | list[Pattern], body: Body | None = None, fabric: Fabric = POPLIN, **settings: float) -> Scene:
+    return Scene.build(patterns, body, fabric, settings=Settings(**({"spacing": 0.04} | settings)))
+
+
+def gaps(simulation: Simulation) -> dict[str, float]:
+    x = simulation.positions
+    return {s.name: float(np.linalg.norm(x[s.first] - x[s.second], axis=1).max()) for s in simulation.scene.garment.seams}
+
+
+def sewn(simulation: Simulation) -> Simulation:
+    while simulation.phase == "sewing":
+        simulation.tick()
+    return simulation
+
+
+def test_panels_close_to_a_millimetre_and_merge():
+    simulation = Simulation(scene_of(tube()))
+    garment = simulation.scene.garment
+    assert simulation.phase == "sewing"
+    assert max(gaps(simulation).values()) == pytest.approx(0.1)
+    assert simulation.model.particle_count == garment.particle_count
+    before = gaps(simulation)
+    while simulation.phase == "sewing":
+        before = gaps(simulation)
+        simulation.tick()
+    assert max(before.values()) <= 0.002  # a tick before the merge they are nearly closed
+    assert simulation.phase == "draping"
+    assert simulation.time == pytest.approx(simulation.scene.settings.closing_time, abs=0.02)
+    assert max(gaps(simulation).values()) == 0.0
+    assert simulation.model.particle_count == garment.merged_indices.max() + 1
+    np.testing.assert_array_equal(simulation.model.number, garment.merged_indices)
+    assert simulation.model.seam_pull is None  # no seam springs any more
+    report = simulation.report()
+    assert report.max_seam_gap == 0.0
+    assert report.open_seams == {}
+    assert not any("seam" in w for w in report.warnings)
+
+
+def test_sewn_springs_lie_across_the_seam():
+    simulation = sewn(Simulation(scene_of(tube())))
+    garment, model = simulation.scene.garment, simulation.model
+    panels_of = [set() for _ in range(model.particle_count)]
+    for particle, number in enumerate(model.number):
+        panels_of[number].add(int(garment.panel_of_particle[particle]))
+    on_seam = [i for i, p in enumerate(panels_of) if len(p) == 2]
+    assert len(on_seam) == sum(len(s.first) for s in garment.seams)
+    for i in on_seam:  # each has neighbours in the front and in the back
+        neighbours = model.springs.pairs[(model.springs.pairs == i).any(axis=1)].ravel()
+        assert {p for j in neighbours for p in panels_of[j]} == {0, 1}
+        assert any(panels_of[j] == {0} for j in neighbours)
+        assert any(panels_of[j] == {1} for j in neighbours)
+
+
+def test_gravity_waits_until_the_seams_have_closed():
+    simulation = Simulation(scene_of(tube()))
+    mass = simulation.model.mass
+    start = mass @ simulation.positions
+    while simulation.phase == "sewing":
+        x, v = simulation.positions, simulation._v.copy()
+        np.testing.assert_allclose(mass @ x, start, atol=1e-9)
+        np.testing.assert_allclose(mass @ v, 0.0, atol=1e-9)
+        simulation.tick()
+    height = simulation._x[:, 2] @ simulation.model.mass / simulation.model.mass.sum()
+    simulation.advance(0.1)
+    fallen = height - simulation._x[:, 2] @ simulation.model.mass / simulation.model.mass.sum()
+    k_a = simulation.scene.air_drag
+    exact = GRAVITY / k_a * (0.1 - (1 - np.exp(-k_a * 0.1)) / k_a)
+    assert fallen == pytest.approx(exact, rel=0.01)
+
+
+def test_merging_keeps_momentum_and_the_centre_of_mass():
+    simulation = Simulation(scene_of(tube()))
+    while max(gaps(simulation).values()) > 0.0009:
+        simulation.tick()
+    assert simulation.phase == "sewing"
+    throw(simulation, np.random.default_rng(2).standard_normal(simulation._v.shape))
+    mass = simulation.model.mass
+    momentum, centre = mass @ simulation._v, mass @ simulation._x
+    simulation.time = simulation.scene.settings.closing_time
+    simulation._sew()
+    assert simulation.phase == "draping"
+    assert len(simulation._x) < len(mass)
+    np.testing.assert_allclose(simulation.model.mass @ simulation._v, momentum, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(simulation.model.mass @ simulation._x, centre, rtol=1e-12, atol=1e-15)
+    assert simulation.model.mass.sum() == pytest.approx(mass.sum(), rel=1e-12)
+
+
+def test_unequal_masses_merge_by_their_weights():
+    # A narrow strip sewn to a wide panel: the merged particle lies nearer to the heavier one.
+    two = pattern(
+        {"wide": rectangle(0.4, 0.2, at=(-0.2, 0, 0)), "thin": rectangle(0.02, 0.2, at=(0.02, 0, 0))},
+        [(("wide", 1), ("thin", 3))],
+    )
+    scene = scene_of(two, spacing=0.1)
+    apart = Model(scene)
+    number = scene.garment.merged_indices
+    together = Model(scene, closed=scene.garment.seams)
+    found = together.gather(scene.garment.start, scene.garment.particle_areas)
+    for k in range(together.particle_count):
+        members = np.flatnonzero(number == k)
+        np.testing.assert_allclose(
+            found[k], np.average(scene.garment.start[members], axis=0, weights=apart.mass[members]), atol=1e-12
+        )
+
+
+def test_dart_closes_within_its_panel():
+    corners = [(0, 0), (0.17, 0), (0.2, 0.15), (0.23, 0), (0.4, 0), (0.4, 0.4), (0, 0.4)]
+    darted = pattern({"piece": panel(corners)}, [(("piece", 1), ("piece", 2))])
+    simulation = Simulation(scene_of(darted, spacing=0.03))
+    assert max(gaps(simulation).values()) == pytest.approx(0.06)
+    sewn(simulation)
+    assert max(gaps(simulation).values()) == 0.0
+    assert simulation.report().open_seams == {}
+
+
+@pytest.mark.parametrize("ratio", [1.1, 1.3])
+def test_unequal_edges_close_by_gathering(ratio):
+    panels = {"a": rectangle(0.3, 0.3, at=(-0.16, 0, 0)), "b": rectangle(0.3, 0.3 * ratio, at=(0.16, 0, 0))}
+    gathered = pattern(panels, [(("a", 1), ("b", 3))])
+    simulation = sewn(Simulation(scene_of(gathered, spacing=0.03)))
+    assert simulation.report().open_seams == {}
+    assert max(gaps(simulation).values()) == 0.0
+
+
+# ---- what cannot close
+
+
+def block(x: float = 0.0) -> Body:
+    """A column of 0.5 by 0.3 m, 2 m high: much more around than a tube of two times 0.4 m."""
+    return body_of(trimesh.creation.box(extents=[0.5, 0.3, 2.0]), move=[x, 0.0, 1.0])
+
+
+def test_seam_that_a_body_holds_open_is_named():
+    scene = scene_of(tube(apart=0.4), block(), fabric=Fabric.preset("denim"), sewing_time=1.5, max_time=1.6)
+    simulation = Simulation(scene)
+    report = simulation.settle()
+    names = [s.name for s in scene.garment.seams]
+    assert names == ["panel 'front', edge 1 - panel 'back', edge 3", "panel 'front', edge 3 - panel 'back', edge 1"]
+    assert list(report.open_seams) == names
+    for name in names:
+        gap = report.open_seams[name]
+        assert gap > 0.1  # (1.6 - 0.8) / 2 = 0.4 m are missing at each, less what the cloth stretches
+        assert f"seam {name}: still {1000 * gap:.1f} mm open after 1.5 s; it stays open" in report.warnings
+    assert report.max_seam_gap > 0.1
+    assert not report.settled
+    assert report.body_intersections == 0
+    x, triangles = simulation.sewn_mesh()
+    assert crossings(x, triangles, block()) == 0
+    assert simulation.time >= 1.5
+
+
+def test_other_seams_close_all_the_same():
+    free, held = tube(name="free", x=-2.0), tube(name="held", apart=0.4)
+    simulation = sewn(Simulation(scene_of([free, held], block(), sewing_time=1.2)))
+    found = gaps(simulation)
+    assert [found[s.name] == 0.0 for s in simulation.scene.garment.seams] == [True, True, False, False]
+    report = simulation.report()
+    assert list(report.open_seams) == [s.name for s in simulation.scene.garment.seams[2:]]
+    assert all(name.startswith("held: ") for name in report.open_seams)
+
+
+def test_garment_without_seams_does_not_sew():
+    simulation = Simulation(scene_of(pattern({"p": rectangle(0.2, 0.2)})))
+    assert simulation.phase == "draping"
+    assert simulation.model.seam_pull is None
+
+
+# ---- the pull itself
+
+
+@pytest.mark.parametrize("openness", [0.0, 0.5, 1.0])
+def test_pull_is_a_limited_spring_that_shortens(openness):
+    rng = np.random.default_rng(9)
+    x, v = rng.standard_normal((2, 8, 3))
+    pairs = np.array([[0, 1], [2, 3], [4, 5], [6, 7]], dtype=np.int32)
+    x[5] = x[4]  # closed already
+    start = np.array([0.5, 2.0, 1.0, 0.1])
+    seam = SeamPull(pairs, start, stiffness=3.0, damping=0.2, largest_force=2.5)
+    force = np.zeros_like(x)
+    seam_forces(x, v, seam, openness, force)
+    for (i, j), length0 in zip(pairs, start, strict=True):
+        d = x[j] - x[i]
+        length = float(np.linalg.norm(d))
+        pull = min(3.0 * max(length - openness * length0, 0.0), 2.5)
+        expected = (pull * d / length if length > 0 else 0.0) + 0.2 * (v[j] - v[i])
+        np.testing.assert_allclose(force[i], expected, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(force[j], -force[i], rtol=1e-12)
+
+
+def test_seam_pull_hardly_shortens_the_stable_time_step():
+    scene = scene_of(tube())
+    sewing, plain = Model(scene, sewing=True), Model(scene)
+    x = scene.garment.start
+    assert sewing.stable_step(x, 1.0).time_step >= 0.75 * plain.stable_step(x, 1.0).time_step
+
+
+def test_gaps_are_measured_at_the_worst_point():
+    garment = scene_of(tube()).garment
+    x = garment.start.copy()
+    for seam in garment.seams:
+        x[seam.second] = x[seam.first]
+    assert set(seam_gaps(garment, x).values()) == {0.0}
+    x[garment.seams[1].second[2]] += [0.003, 0.004, 0.0]
+    assert seam_gaps(garment, x) == pytest.approx({garment.seams[0].name: 0.0, garment.seams[1].name: 0.005})
+
+
+def test_unsewn_and_sewn_positions_belong_together():
+    simulation = sewn(Simulation(scene_of(tube(), fabric=plain_fabric(damping_time=1e-4))))
+    x, triangles = simulation.sewn_mesh()
+    np.testing.assert_array_equal(simulation.positions, x[simulation.model.number])
+    np.testing.assert_array_equal(triangles, simulation.model.number[simulation.triangles])
+    assert len(simulation.positions) == simulation.scene.garment.particle_count
