@@ -103,16 +103,31 @@ def _split(centres: Floats) -> tuple[Ints, Ints]:
     return right, leaf
 
 
+def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float | Floats) -> None:
+    """Recompute all boxes, enlarged on every side.
+
+    Args:
+        tree: changed in place.
+        vertices: positions [m], shape (n, 3).
+        triangles: corner indices, shape (t, 3).
+        margin: how far a box reaches beyond its corners [m], for all of them or for each vertex, shape (n,).
+    """
+    _refit(tree, vertices, triangles, np.ascontiguousarray(np.broadcast_to(margin, len(vertices)), dtype=np.float64))
+
+
 @kernel
-def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float) -> None:
-    """Recompute all boxes, each enlarged by margin [m] on every side; vertices (n, 3) [m], triangles (t, 3)."""
+def _refit(tree: AabbTree, vertices: Floats, triangles: Ints, margin: Floats) -> None:
     for node in range(tree.triangle.shape[0] - 1, -1, -1):
         t = tree.triangle[node]
         for k in range(3):
             if t >= 0:
-                a, b, c = vertices[triangles[t, 0], k], vertices[triangles[t, 1], k], vertices[triangles[t, 2], k]
-                tree.lower[node, k] = min(a, min(b, c)) - margin
-                tree.upper[node, k] = max(a, max(b, c)) + margin
+                low, high = np.inf, -np.inf
+                for corner in range(3):
+                    i = triangles[t, corner]
+                    low = min(low, vertices[i, k] - margin[i])
+                    high = max(high, vertices[i, k] + margin[i])
+                tree.lower[node, k] = low
+                tree.upper[node, k] = high
             else:
                 left, right = node + 1, tree.right[node]
                 tree.lower[node, k] = min(tree.lower[left, k], tree.lower[right, k])

@@ -81,14 +81,14 @@ class BodyContact:
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
 
     def search(
-        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, reach: float
+        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, reach: Floats
     ) -> tuple[VertexPlanes, Ints, Floats, Floats]:
-        """All pairs that can come into contact while no particle moves more than reach [m] from x (n, 3).
+        """All pairs that can come into contact while no particle moves farther than its reach from x (n, 3) [m].
 
         Args:
             x, triangles, cloth: positions [m], the cloth's triangles and who owns what.
             tree: of the cloth's triangles, its boxes enlarged by at least offset + reach.
-            reach: [m].
+            reach: of each particle [m], (n,).
 
         Returns:
             the vertex pairs; the other pairs as rows (s, 6) and their distances (s,) [m]; and how far each particle may
@@ -100,7 +100,7 @@ class BodyContact:
             found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs)
         vertex_pairs, rows, distance, gap = _narrow_phase(
             x, triangles, cloth, self.body.vertices, self.body.triangles, self.body.representatives,
-            self._leaf_pairs[:found], self.offset + reach, self.side_offset + reach,
+            self._leaf_pairs[:found], self.offset, self.side_offset, reach,
         )  # fmt: skip
         return VertexPlanes.of(len(x), vertex_pairs), rows, distance, np.minimum(_TRAVEL * gap, reach)
 
@@ -122,8 +122,9 @@ def _narrow_phase(
     body_triangles: Ints,
     body: Representatives,
     leaf_pairs: Ints,
-    vertex_reach: float,
-    side_reach: float,
+    offset: float,
+    side_offset: float,
+    reach: Floats,
 ) -> tuple[Ints, Ints, Floats, Floats]:
     """Distances of all vertex-triangle, edge-edge and triangle-vertex pairs of the leaf pairs that are within reach.
 
@@ -135,17 +136,16 @@ def _narrow_phase(
     sides = np.empty((4096, 6), dtype=np.int32)
     side_distance = np.empty(4096)
     vertex_count, side_count = 0, 0
-    vertex_limit = vertex_reach * vertex_reach
-    side_limit = side_reach * side_reach
     for pair in range(leaf_pairs.shape[0]):
         ct, bt = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
         b0, b1, b2 = body_triangles[bt, 0], body_triangles[bt, 1], body_triangles[bt, 2]
         c0, c1, c2 = triangles[ct, 0], triangles[ct, 1], triangles[ct, 2]
+        triangle_reach = side_offset + max(reach[c0], max(reach[c1], reach[c2]))
         for k in range(3):
             if cloth.owns_vertex[ct, k]:
                 i = triangles[ct, k]
                 squared = point_triangle(x[i], body_x[b0], body_x[b1], body_x[b2])[0]
-                if squared < vertex_limit:
+                if squared < (offset + reach[i]) ** 2:
                     gap[i] = min(gap[i], np.sqrt(squared))
                     if vertex_count == vertex_pairs.shape[0]:
                         vertex_pairs = doubled(vertex_pairs)
@@ -155,7 +155,7 @@ def _narrow_phase(
             if body.owns_vertex[bt, k]:
                 j = body_triangles[bt, k]
                 squared = point_triangle(body_x[j], x[c0], x[c1], x[c2])[0]
-                if squared < side_limit:
+                if squared < triangle_reach * triangle_reach:
                     distance = np.sqrt(squared)
                     for c in (c0, c1, c2):
                         gap[c] = min(gap[c], distance)
@@ -165,6 +165,7 @@ def _narrow_phase(
                     side_count += 1
             if cloth.owns_edge[ct, k]:
                 p, q = triangles[ct, k], triangles[ct, (k + 1) % 3]
+                side_reach = side_offset + max(reach[p], reach[q])
                 for m in range(3):
                     if not body.owns_edge[bt, m]:
                         continue
@@ -178,7 +179,7 @@ def _narrow_phase(
                     if apart:
                         continue
                     squared = segment_segment(x[p], x[q], body_x[a], body_x[b])[0]
-                    if squared < side_limit:
+                    if squared < side_reach * side_reach:
                         distance = np.sqrt(squared)
                         gap[p] = min(gap[p], distance)
                         gap[q] = min(gap[q], distance)

@@ -82,8 +82,14 @@ class Contact:
         self._representatives = representatives(self.triangles)
         self._tree: AabbTree | None = None
 
-    def search(self, x: Floats, reach: float) -> ContactState:
-        """Find all pairs that can come into contact while no particle moves more than reach [m] from x (n, 3)."""
+    def search(self, x: Floats, reach: float | Floats) -> ContactState:
+        """Find all pairs that can come into contact while no particle moves farther than its reach.
+
+        Args:
+            x: positions [m], shape (n, 3).
+            reach: [m], for all particles or for each, shape (n,).
+        """
+        reach = np.ascontiguousarray(np.broadcast_to(reach, len(x)), dtype=np.float64)
         if self._tree is None:
             self._tree = build_tree(x, self.triangles)
         refit_tree(self._tree, x, self.triangles, self.body.offset + reach)

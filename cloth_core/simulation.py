@@ -35,7 +35,7 @@ SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
 _TICK_STEPS = 32
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 1.0 / 60.0
-# Steps that a particle at the largest speed can travel before contacts are searched again, and the limits of it [m].
+# Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH, _MOST_REACH = 0.001, 0.006
 # Cloth faster than this has left physics [m/s].
@@ -259,7 +259,8 @@ class Simulation:
 
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
-        reach = min(max(_STEPS_PER_SEARCH * self._dt * self._largest_speed(), _LEAST_REACH), _MOST_REACH)
+        speed = np.sqrt((self._v**2).sum(axis=1))
+        reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, _MOST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
 

@@ -4,6 +4,7 @@ import json
 import re
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -298,9 +299,8 @@ def test_a_run_that_fails_says_so_and_the_next_garment_is_served(bench, monkeypa
 
     with monkeypatch.context() as patch:
         patch.setattr(*place, fail)
+        bench.worker.configure(DRAFT, replace(bench.settings, auto_start=True))
         bench.worker.load_pattern(handkerchief())
-        bench.wait_for_state("paused")
-        bench.worker.start()
         bench.listener.wait(lambda: bench.listener.warnings)
         assert bench.listener.warnings[0].startswith("the run failed: ")
         assert str(error) in bench.listener.warnings[0]
@@ -308,7 +308,6 @@ def test_a_run_that_fails_says_so_and_the_next_garment_is_served(bench, monkeypa
         bench.worker.diagnose()
         assert bench.listener.warnings[0].encode() in bench.listener.of(DIAGNOSTICS)[-1]
     bench.give(handkerchief())
-    bench.worker.drape()
     assert bench.wait_for_report()["settled"]
     bench.worker.diagnose()
     assert b"failed" not in bench.listener.of(DIAGNOSTICS)[-1]
