@@ -7,10 +7,15 @@ from dataclasses import dataclass
 
 from cloth_core.errors import SceneError
 
-__all__ = ["QUALITIES", "Settings", "settings_for"]
+__all__ = ["EXPECTED_ERROR_SOURCE", "QUALITIES", "Settings", "settings_for"]
 
 # Particle spacing [m] of each quality.
 QUALITIES = {"draft": 0.025, "normal": 0.015, "fine": 0.010}
+
+# Distance of the resting drape from that at 10 mm spacing, RMS over points of both surfaces, both ways [m]: built-in
+# T-shirt in cotton poplin on the young body. Draft takes the figure of 30 mm; nothing finer than 10 mm is measured yet.
+EXPECTED_ERROR = {"draft": 0.0097, "normal": 0.0071}
+EXPECTED_ERROR_SOURCE = "RMS distance to the drape at 10 mm spacing, built-in T-shirt on the young body"
 
 
 @dataclass(frozen=True)
@@ -19,6 +24,8 @@ class Settings:
 
     Attributes:
         spacing: particle spacing [m].
+        tolerance: largest error asked for [m], if one was.
+        expected_error: what this spacing is measured to differ from a fine one [m], None where nothing is measured.
         time_step: [s]; None takes `safety` times the stable one. A longer one than that is cut into sub-steps.
         safety: share of the stable time step that is used.
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
@@ -32,6 +39,8 @@ class Settings:
     """
 
     spacing: float = QUALITIES["normal"]
+    tolerance: float | None = None
+    expected_error: float | None = None
     time_step: float | None = None
     safety: float = 0.9
     contact_offset: float = 0.003
@@ -53,13 +62,15 @@ class Settings:
 
 
 def settings_for(quality: str = "normal", tolerance: float | None = None) -> Settings:
-    """Settings of a quality, or the coarsest ones expected to meet a tolerance [m].
+    """Settings of a quality, or the coarsest ones measured to meet a tolerance [m]; the finest if none does.
 
     Raises:
-        SceneError: unknown quality, or a tolerance that no setting meets.
+        SceneError: unknown quality, or a tolerance that is not positive.
     """
     if quality not in QUALITIES:
         raise SceneError(f"quality '{quality}': not known; use one of {', '.join(QUALITIES)}")
-    if tolerance is None:
-        return Settings(spacing=QUALITIES[quality])
-    raise SceneError(f"tolerance {1000 * tolerance:g} mm: not calibrated")
+    if tolerance is not None:
+        if not (math.isfinite(tolerance) and tolerance > 0.0):
+            raise SceneError(f"tolerance: {tolerance!r} m is not a positive length; give one in metres")
+        quality = next((name for name, error in EXPECTED_ERROR.items() if error <= tolerance), "fine")
+    return Settings(QUALITIES[quality], tolerance, EXPECTED_ERROR.get(quality))

@@ -24,6 +24,8 @@ class Report:
         settled: whether it is at rest; rest_reason: by which criterion, or why it ended without rest.
         max_strain: largest extension of a structural spring; mean_strain: mean magnitude over all of them.
         max_shear_strain: largest extension of a shear spring.
+        expected_error: how far this spacing's drape is expected from a fine one's [m], null where nothing is measured.
+        expected_error_source: where that expectation comes from.
         strain_limit: of the fabric; a larger max_strain gives a warning.
         max_seam_gap: largest distance of two points to be sewn [m].
         open_seams: the seams above the tolerance, with their gaps [m].
@@ -59,6 +61,8 @@ class Report:
     self_intersections: int
     max_penetration: float
     contact_searches: int
+    expected_error: float | None
+    expected_error_source: str
     warnings: tuple[str, ...] = field(default=())
     state_sha256: str = ""
 

@@ -59,7 +59,14 @@ class Scene:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What a user should know before the run, one line each."""
-        return (self.body.warnings if self.body else ()) + self.garment.warnings
+        settings = self.settings
+        lines: tuple[str, ...] = ()
+        if settings.tolerance is not None and (settings.expected_error or math.inf) > settings.tolerance:
+            lines = (
+                f"tolerance {1000 * settings.tolerance:g} mm: finer than any setting is measured to reach; the finest, "
+                f"{1000 * settings.spacing:g} mm, is taken without a promise",
+            )
+        return lines + (self.body.warnings if self.body else ()) + self.garment.warnings
 
     @classmethod
     def build(

@@ -16,6 +16,7 @@ from cloth_core.contact import ContactState
 from cloth_core.errors import SimulationError
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
+from cloth_core.quality import EXPECTED_ERROR_SOURCE
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
@@ -402,6 +403,10 @@ class Simulation:
             self_intersections=len(self_crossing_edges(x, model.triangles)),
             max_penetration=penetration,
             contact_searches=self._searches,
+            expected_error=scene.settings.expected_error,
+            expected_error_source=EXPECTED_ERROR_SOURCE
+            if scene.settings.expected_error is not None
+            else "not measured",
             warnings=tuple(dict.fromkeys(warnings)),
             state_sha256=self.state_hash(),
         )

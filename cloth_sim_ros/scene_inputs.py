@@ -41,7 +41,7 @@ class SceneParameters:
         """Numerical settings that quality and tolerance stand for.
 
         Raises:
-            SceneError: unknown quality, or a tolerance that no setting meets.
+            SceneError: unknown quality, or a tolerance that is not positive.
         """
         return settings_for(self.quality, self.tolerance / 1000.0 if self.tolerance > 0.0 else None)
 
