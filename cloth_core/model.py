@@ -55,6 +55,7 @@ class Model:
         sewing: whether open seams pull, and gravity waits until they have closed.
 
     Attributes:
+        closed: the seams that are merged.
         number: model particle of each unsewn particle, shape (n,).
         mass, inverse_mass: [kg, 1/kg], shape (k,).
         triangles: in model particles, shape (m, 3).
@@ -65,6 +66,7 @@ class Model:
     def __init__(self, scene: Scene, closed: tuple[Seam, ...] = (), sewing: bool = False) -> None:
         garment, fabric = scene.garment, scene.fabric
         self.scene = scene
+        self.closed = closed
         self.sewing = sewing
         self.number = merged_numbers(garment.particle_count, closed)
         self.particle_count = int(self.number.max()) + 1

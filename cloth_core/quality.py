@@ -31,8 +31,9 @@ class Settings:
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
         push_speed: fastest way out for cloth that lies nearer than the offset [m/s].
         closing_time: time within which the seams are drawn together [s].
-        sewing_time: after this time seams that are still open are given up [s].
+        sewing_time: after this time seams that are still farther open than merge_distance are given up [s].
         seam_tolerance: a seam narrower than this is closed [m].
+        merge_distance: a seam that a tight garment holds open by less than this is closed by merging its points [m].
         rest_displacement, rest_window: at rest when no particle moves farther than this [m] within this time [s].
         max_time: longest drape [s].
         settle_drag: air drag [1/s] while a run only looks for the resting shape.
@@ -46,8 +47,9 @@ class Settings:
     contact_offset: float = 0.003
     push_speed: float = 0.5
     closing_time: float = 0.8
-    sewing_time: float = 3.0
+    sewing_time: float = 2.0
     seam_tolerance: float = 0.001
+    merge_distance: float = 0.008
     rest_displacement: float = 0.0005
     rest_window: float = 0.1
     max_time: float = 20.0

@@ -291,16 +291,31 @@ class Simulation:
         if self.time < settings.closing_time:
             return
         gaps = seam_gaps(self.scene.garment, self.positions)
-        closed = {name for name, gap in gaps.items() if gap <= settings.seam_tolerance}
-        if len(closed) < len(gaps) and self.time < settings.sewing_time:
+        late = self.time >= settings.sewing_time
+        if max(gaps.values()) > settings.seam_tolerance and not late:
             return
+        # A tight garment pulls its last millimetres open again; merging the points closes them.
+        model = self._merged(gaps, settings.merge_distance if late else settings.seam_tolerance)
+        if late and self._crosses_body(model):
+            model = self._merged(gaps, settings.seam_tolerance)
+        closed = {seam.name for seam in model.closed}
         self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
         for name, gap in self._open_seams.items():
             self._warnings.append(f"seam {name}: still {1000 * gap:.1f} mm open after {self.time:.2g} s; it stays open")
-        positions, velocities = self.positions, np.asarray(self._v[self.model.number])
-        merged = tuple(s for s in self.scene.garment.seams if s.name in closed)
         self.phase = DRAPING
-        self._use(Model(self.scene, closed=merged), positions, velocities)
+        self._use(model, self.positions, np.asarray(self._v[self.model.number]))
+
+    def _merged(self, gaps: dict[str, float], limit: float) -> Model:
+        """The model in which all seams narrower than limit [m] are merged."""
+        return Model(self.scene, closed=tuple(s for s in self.scene.garment.seams if gaps[s.name] <= limit))
+
+    def _crosses_body(self, model: Model) -> bool:
+        """Whether the present state, in a model's numbering, passes through the body anywhere."""
+        body = self.scene.body
+        if body is None:
+            return False
+        x = model.gather(self.positions, self.scene.garment.particle_areas)
+        return len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree)) > 0
 
     def _open_window(self) -> None:
         self._window_x = self._x.copy()

@@ -64,7 +64,9 @@ def rectangle(width: float, height: float, **placement: Any) -> dict[str, Any]:
     return panel([(-w, -h), (w, -h), (w, h), (-w, h)], **placement)
 
 
-def pattern(panels: Mapping[str, dict[str, Any]], stitches: Sequence[tuple[Any, ...]] = (), name: str = "it") -> Pattern:
+def pattern(
+    panels: Mapping[str, dict[str, Any]], stitches: Sequence[tuple[Any, ...]] = (), name: str = "it"
+) -> Pattern:
     """A pattern in metres; stitches are ((panel, edge), (panel, edge)) or with a third entry "right_wrong"."""
     rows = [[{"panel": p, "edge": e} for p, e in s[:2]] + list(s[2:]) for s in stitches]
     data = {
@@ -127,20 +129,22 @@ def sides_through(va: Floats, ta: NDArray[np.int32], vb: Floats, tb: NDArray[np.
     """Number of sides of one mesh, (n, 3) and (m, 3), that cross any triangle of the other."""
     sides = np.unique(np.sort(np.concatenate([ta[:, [0, 1]], ta[:, [1, 2]], ta[:, [2, 0]]]), axis=1), axis=0)
     ends, corner = va[sides], vb[tb]
-    # Only what lies in the box of the other mesh can cross it.
-    ends = ends[((ends.max(1) >= vb.min(0)) & (ends.min(1) <= vb.max(0))).all(1)]
-    corner = corner[((corner.max(1) >= va.min(0)) & (corner.min(1) <= va.max(0))).all(1)]
-    if len(ends) == 0 or len(corner) == 0:
-        return 0
-    p, way = ends[:, None, 0], (ends[:, 1] - ends[:, 0])[:, None]
-    e1, e2 = corner[None, :, 1] - corner[None, :, 0], corner[None, :, 2] - corner[None, :, 0]
-    h = np.cross(way, e2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        f = 1.0 / (e1 * h).sum(-1)
-        s = p - corner[None, :, 0]
-        k = np.cross(s, e1)
-        u, v, t = f * (s * h).sum(-1), f * (way * k).sum(-1), f * (e2 * k).sum(-1)
-        return int(((u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)).any(axis=1).sum())
+    # Pairs whose boxes meet, in portions that fit into memory; of these the crossing ones.
+    low, high = corner.min(axis=1), corner.max(axis=1)
+    count = 0
+    for part in np.array_split(ends, len(ends) // 200 + 1):
+        meet = (low[None] <= part.max(axis=1)[:, None]) & (high[None] >= part.min(axis=1)[:, None])
+        side, triangle = np.nonzero(meet.all(axis=2))
+        p, near = part[side, 0], corner[triangle]
+        way, e1, e2 = part[side, 1] - p, near[:, 1] - near[:, 0], near[:, 2] - near[:, 0]
+        h = np.cross(way, e2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            f = 1.0 / (e1 * h).sum(-1)
+            s = p - near[:, 0]
+            k = np.cross(s, e1)
+            u, v, t = f * (s * h).sum(-1), f * (way * k).sum(-1), f * (e2 * k).sum(-1)
+        count += len(np.unique(side[(u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)]))
+    return count
 
 
 def throw(simulation: Simulation, velocity: ArrayLike) -> None:

@@ -11,7 +11,10 @@ from cloth_core.body import Body
 
 def random_mesh(rng: np.random.Generator, count: int, size: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
     """Triangles anywhere in a unit cube, some flat along an axis, some sharing corners."""
-    x = rng.uniform(0, 1, (count, 1, 3)) + size * rng.standard_normal((count, 3, 3)) * rng.uniform(0, 1, (count, 1, 3)) ** 2
+    x = (
+        rng.uniform(0, 1, (count, 1, 3))
+        + size * rng.standard_normal((count, 3, 3)) * rng.uniform(0, 1, (count, 1, 3)) ** 2
+    )
     triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     shared = rng.random(count) < 0.3
     triangles[shared, 0] = rng.integers(0, 3 * count, int(shared.sum()))

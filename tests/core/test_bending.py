@@ -103,7 +103,9 @@ def test_unsewn_halves_fold_freely():
     folded = np.column_stack([np.abs(plane[:, 0]), plane[:, 1], np.zeros(len(plane))])  # right down on the left one
     assert energy(of_garment(garment), np.ascontiguousarray(folded[number])) == pytest.approx(0.0, abs=1e-15)
     # Sewn, each of the six sides of 1 cm is bent by 180 degrees, |K x| = 2 |e|.
-    assert energy(of_garment(garment, sewn=True), folded) == pytest.approx(6 * B * (2 * 0.01) ** 2 / (2 * 0.0001), rel=1e-6)
+    assert energy(of_garment(garment, sewn=True), folded) == pytest.approx(
+        6 * B * (2 * 0.01) ** 2 / (2 * 0.0001), rel=1e-6
+    )
 
 
 def test_flat_sheet_anywhere_has_no_bending_force():
@@ -113,7 +115,9 @@ def test_flat_sheet_anywhere_has_no_bending_force():
         assert np.abs(force_of(of_garment(garment), np.ascontiguousarray(turned))).max() < 1e-9
 
 
-@pytest.mark.parametrize("garment", [sheet(0.1, 0.06, 0.02), disc(0.03), two_halves(0.02)], ids=["sheet", "disc", "seam"])
+@pytest.mark.parametrize(
+    "garment", [sheet(0.1, 0.06, 0.02), disc(0.03), two_halves(0.02)], ids=["sheet", "disc", "seam"]
+)
 def test_forces_push_nothing_as_a_whole(garment):
     bending = of_garment(garment, sewn=True)
     x = np.random.default_rng(4).standard_normal((garment.merged_indices.max() + 1, 3))

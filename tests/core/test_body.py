@@ -65,14 +65,14 @@ def test_inside_out_body_is_turned():
     volume = np.linalg.det(turned.vertices[turned.triangles]).sum() / 6
     assert volume == pytest.approx(ball.volume, rel=1e-12)
     # Far from the origin the same.
-    far = Body.from_arrays(np.asarray(ball.vertices) + [50.0, -70.0, 3.0], ball.faces[:, ::-1])
+    far = Body.from_arrays([*np.asarray(ball.vertices), 50.0, -70.0, 3.0], ball.faces[:, ::-1])
     assert far.repairs == turned.repairs
 
 
 def test_each_of_several_shells_is_turned_outside_out():
     # One ball right side out and a smaller one, elsewhere, inside out.
     big, small = trimesh.creation.icosphere(subdivisions=2), trimesh.creation.icosphere(subdivisions=1, radius=0.3)
-    x = np.vstack([big.vertices, np.asarray(small.vertices) + [3.0, 0, 0]])
+    x = np.vstack([big.vertices, [*np.asarray(small.vertices), 3.0, 0, 0]])
     faces = np.vstack([big.faces, small.faces[:, ::-1] + len(big.vertices)])
     body = Body.from_arrays(x, faces)
     assert body.repairs == {"triangles turned outside out": len(small.faces)}
@@ -142,7 +142,10 @@ SHAPES = {
     "torus": trimesh.creation.torus(0.4, 0.15, 24, 12),
     "spike": trimesh.creation.cone(0.05, 1.0, sections=8),
     "two balls": trimesh.util.concatenate(
-        [trimesh.creation.icosphere(1, radius=0.2), trimesh.creation.icosphere(1, radius=0.3).apply_translation([0.6, 0, 0])]
+        [
+            trimesh.creation.icosphere(1, radius=0.2),
+            trimesh.creation.icosphere(1, radius=0.3).apply_translation([0.6, 0, 0]),
+        ]
     ),
 }
 

@@ -56,7 +56,14 @@ def test_catenary(slack, table):
     mass = weight / GRAVITY / links
     stiffness = 1e6
     x, terms = chain(
-        links, mass, stiffness, length, held=[0, links], gravity=[0.0, 0.0, -GRAVITY], air_drag=6.0, spring_damping_time=1e-6
+        links,
+        mass,
+        stiffness,
+        length,
+        held=[0, links],
+        gravity=[0.0, 0.0, -GRAVITY],
+        air_drag=6.0,
+        spring_damping_time=1e-6,
     )
     # Drawn up as a V between the two ends, from which it falls.
     u = np.linspace(-1.0, 1.0, links + 1)

@@ -79,6 +79,7 @@ def test_crossings_of_a_drape_are_those_of_ipctk():
 def edges_through(x: np.ndarray, triangles: np.ndarray, body: Body) -> int:
     sides = {tuple(sorted((t[k], t[(k + 1) % 3]))) for t in triangles.tolist() for k in range(3)}
     corners = body.vertices[body.triangles]
+    corners = corners[((corners.min(axis=1) <= x.max(axis=0)) & (corners.max(axis=1) >= x.min(axis=0))).all(axis=1)]
     low, high = corners.min(axis=1), corners.max(axis=1)
     count = 0
     for i, j in sides:

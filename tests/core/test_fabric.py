@@ -28,7 +28,15 @@ def test_every_figure_of_a_preset_names_its_source(name):
             assert len(sources[key].split()) >= 2, key
         else:  # not in the preset: then it is the common default and no figure of this fabric
             assert getattr(fabric, key) == defaults[key]
-    assert {"area_density", "structural_warp", "structural_weft", "shear", "bending", "friction", "strain_limit"} <= set(sources)
+    assert {
+        "area_density",
+        "structural_warp",
+        "structural_weft",
+        "shear",
+        "bending",
+        "friction",
+        "strain_limit",
+    } <= set(sources)
     assert set(sources) <= set(NUMBERS)
 
 
@@ -76,7 +84,9 @@ def test_value_that_is_no_plausible_number_is_refused_with_its_name(key, value):
     assert "SI units" in str(caught.value)
 
 
-@pytest.mark.parametrize(("key", "value"), [("area_density", 0.0), ("area_density", 168.0), ("bending", 13.9), ("thickness", 0.5)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("area_density", 0.0), ("area_density", 168.0), ("bending", 13.9), ("thickness", 0.5)]
+)
 def test_figures_in_other_units_are_refused(key, value):
     # Nothing, g/m2 for kg/m2, uN m for N m, mm for m.
     with pytest.raises(FabricError, match=f"fabric 'wool', {key}: .* lies outside"):

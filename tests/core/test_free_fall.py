@@ -56,7 +56,9 @@ def test_free_fall_is_exact_and_strains_nothing(garment, area_density):
 
 def test_falling_garment_reaches_terminal_speed():
     garment = sheet(0.2, 0.2, 0.05)
-    scene = Scene(garment=garment, fabric=plain_fabric(structural_warp=2.0, structural_weft=2.0, shear=1.0), air_drag=5.0)
+    scene = Scene(
+        garment=garment, fabric=plain_fabric(structural_warp=2.0, structural_weft=2.0, shear=1.0), air_drag=5.0
+    )
     simulation = Simulation(scene)
     simulation.advance(6.0)
     before = simulation.positions

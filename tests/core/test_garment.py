@@ -17,7 +17,10 @@ from cloth_core.scene import Scene
 
 def tube(**changes) -> Pattern:
     """Front and back, 0.4 by 0.3 m, sewn along their upright edges."""
-    panels = {"front": rectangle(0.4, 0.3, at=(0, 1, 0.2)), "back": rectangle(0.4, 0.3, at=(0, 1, -0.2), turned=(0, 180, 0))}
+    panels = {
+        "front": rectangle(0.4, 0.3, at=(0, 1, 0.2)),
+        "back": rectangle(0.4, 0.3, at=(0, 1, -0.2), turned=(0, 180, 0)),
+    }
     return pattern(panels | changes, [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))], name="tube")
 
 
@@ -25,7 +28,9 @@ def star(count: int = 5) -> Pattern:
     """Wedges around one point; each is sewn to the next along a leg, so that `count` seams meet in the middle."""
     panels, stitches = {}, []
     for k in range(count):
-        a, b = (0.3 * np.array([math.cos(w), math.sin(w)]) for w in (2 * math.pi * k / count, 2 * math.pi * (k + 1) / count))
+        a, b = (
+            0.3 * np.array([math.cos(w), math.sin(w)]) for w in (2 * math.pi * k / count, 2 * math.pi * (k + 1) / count)
+        )
         panels[f"wedge_{k}"] = panel([(0, 0), a.tolist(), b.tolist()])
         stitches.append(((f"wedge_{k}", 2), (f"wedge_{(k + 1) % count}", 0)))
     return pattern(panels, stitches, name="star")
@@ -99,7 +104,8 @@ def test_seam_points_match_one_to_one(name):
 def test_start_meets_end_unless_right_wrong():
     def ends(*flag):
         garment = Garment.from_pattern(
-            pattern({"a": rectangle(0.2, 0.2), "b": rectangle(0.2, 0.2, at=(0, 0, 1))}, [(("a", 1), ("b", 1), *flag)]), 0.1
+            pattern({"a": rectangle(0.2, 0.2), "b": rectangle(0.2, 0.2, at=(0, 0, 1))}, [(("a", 1), ("b", 1), *flag)]),
+            0.1,
         )
         seam = garment.seams[0]
         return garment.rest[seam.first].tolist(), garment.rest[seam.second].tolist()
@@ -126,7 +132,10 @@ def test_seam_edges_of_different_length_take_the_count_of_the_longer(short, long
 def test_five_seams_that_meet_in_one_point_are_merged_once():
     spacing = 0.03
     garment = Garment.from_pattern(star(5), spacing)
-    middle = [int(np.flatnonzero((garment.panel_of_particle == k) & (np.abs(garment.rest).max(axis=1) < 1e-12))[0]) for k in range(5)]
+    middle = [
+        int(np.flatnonzero((garment.panel_of_particle == k) & (np.abs(garment.rest).max(axis=1) < 1e-12))[0])
+        for k in range(5)
+    ]
     assert len(set(garment.merged_indices[middle])) == 1
     # Each leg of 10 parts is one row of particles then, and the middle one particle.
     rows = [set(garment.merged_indices[s.first].tolist()) for s in garment.seams]
@@ -162,7 +171,9 @@ def test_dart_closes_on_its_own_panel_and_keeps_its_tip():
     # Matched by their distance from the tip.
     tip = np.array([0.2, 0.15])
     np.testing.assert_allclose(
-        np.linalg.norm(garment.rest[seam.first] - tip, axis=1), np.linalg.norm(garment.rest[seam.second] - tip, axis=1), atol=1e-9
+        np.linalg.norm(garment.rest[seam.first] - tip, axis=1),
+        np.linalg.norm(garment.rest[seam.second] - tip, axis=1),
+        atol=1e-9,
     )
     assert garment.merged_indices.max() + 1 == garment.particle_count - (len(seam.first) - 1)
     model = Model(Scene(garment=garment, fabric=plain_fabric()), closed=garment.seams)
@@ -172,7 +183,9 @@ def test_dart_closes_on_its_own_panel_and_keeps_its_tip():
 def test_sleeve_of_a_single_cell_around_is_refused():
     # Sewn to a tube, its opposite corners would be one particle and its triangles lines; a finer one is fine.
     sleeve = pattern({"sleeve": rectangle(0.1, 0.1)}, [(("sleeve", 1), ("sleeve", 3))])
-    with pytest.raises(GarmentError, match=r"panel 'sleeve': the stitches would join two corners of one triangle at 100"):
+    with pytest.raises(
+        GarmentError, match=r"panel 'sleeve': the stitches would join two corners of one triangle at 100"
+    ):
         Garment.from_pattern(sleeve, 0.1)
     assert Garment.from_pattern(sleeve, 0.03).merged_indices.max() + 1 == 5 * 4
 

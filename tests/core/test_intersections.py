@@ -20,9 +20,7 @@ def sides_of(triangles: np.ndarray) -> list[tuple[int, int]]:
 def volume(a, b, c, d) -> Fraction:
     """Six times the signed volume of a tetrahedron, exactly."""
     u, v, w = ([Fraction(float(q[k])) - Fraction(float(a[k])) for k in range(3)] for q in (b, c, d))
-    return (
-        w[0] * (u[1] * v[2] - u[2] * v[1]) + w[1] * (u[2] * v[0] - u[0] * v[2]) + w[2] * (u[0] * v[1] - u[1] * v[0])
-    )
+    return w[0] * (u[1] * v[2] - u[2] * v[1]) + w[1] * (u[2] * v[0] - u[0] * v[2]) + w[2] * (u[0] * v[1] - u[1] * v[0])
 
 
 def crosses_exactly(p, q, a, b, c) -> bool:
@@ -107,7 +105,7 @@ def test_neighbours_do_not_count_as_crossing():
     x, faces = np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32)
     assert len(self_crossing_edges(x, faces)) == 0
     # Two balls that overlap, in one mesh: exactly the crossings of the one with the other, both ways.
-    shifted = x + [1.1, 0.05, 0.02]
+    shifted = [*x, 1.1, 0.05, 0.02]
     both = np.vstack([x, shifted]), np.vstack([faces, faces + len(x)]).astype(np.int32)
     expected = len(crossing_edges(x, faces, shifted, faces)) + len(crossing_edges(shifted, faces, x, faces))
     assert expected > 10

@@ -38,11 +38,15 @@ OUTLINES = {
     "tilted square": lambda h: polygon_edges([(0, 0), (0.3, 0.1), (0.2, 0.4), (-0.1, 0.3)], h),
     "trapezium": lambda h: polygon_edges([(0, 0), (0.5, 0), (0.4, 0.45), (0.1, 0.45)], h),
     "L": lambda h: polygon_edges([(0, 0), (0.5, 0), (0.5, 0.2), (0.23, 0.2), (0.23, 0.55), (0, 0.55)], h),
-    "hexagon": lambda h: polygon_edges([(0.25 * math.cos(k * math.pi / 3), 0.25 * math.sin(k * math.pi / 3)) for k in range(6)], h),
+    "hexagon": lambda h: polygon_edges(
+        [(0.25 * math.cos(k * math.pi / 3), 0.25 * math.sin(k * math.pi / 3)) for k in range(6)], h
+    ),
     "triangle": lambda h: polygon_edges([(0, 0), (0.5, 0.02), (0.2, 0.45)], h),
     "disc": lambda h: curve_edges(lambda t: (0.2 * math.cos(t), 0.2 * math.sin(t)), h),
     "ellipse": lambda h: curve_edges(lambda t: (0.3 * math.cos(t), 0.15 * math.sin(t)), h),
-    "bean": lambda h: curve_edges(lambda t: ((0.2 + 0.05 * math.sin(2 * t)) * math.cos(t), (0.2 + 0.05 * math.cos(3 * t)) * math.sin(t)), h),
+    "bean": lambda h: curve_edges(
+        lambda t: ((0.2 + 0.05 * math.sin(2 * t)) * math.cos(t), (0.2 + 0.05 * math.cos(3 * t)) * math.sin(t)), h
+    ),
     "clockwise": lambda h: polygon_edges([(0, 0), (0, 0.3), (0.4, 0.3), (0.4, 0)], h),
 }  # fmt: skip
 
@@ -173,7 +177,10 @@ def test_rows_lie_along_weft_and_columns_along_warp(what):
 def test_lattice_is_as_fine_as_asked():
     coarse, fine = (mesh_panel("d", OUTLINES["disc"](h), h) for h in (0.02, 0.01))
     assert len(fine.points) == pytest.approx(4 * len(coarse.points), rel=0.15)
-    longest = max(np.linalg.norm(fine.points[fine.triangles[:, k]] - fine.points[fine.triangles[:, k - 1]], axis=1).max() for k in range(3))
+    longest = max(
+        np.linalg.norm(fine.points[fine.triangles[:, k]] - fine.points[fine.triangles[:, k - 1]], axis=1).max()
+        for k in range(3)
+    )
     assert longest < 2.2 * 0.01
 
 

@@ -1,4 +1,4 @@
-"""The founding paper, step by step (Dong and Yuan, 3D Garment Simulation and Visualization Based on Particle Spring Model).
+"""The founding paper, step by step (Dong and Yuan, 3D Garment Simulation ... Based on Particle Spring Model).
 
 One test, or a few, for each of its nine steps; the other files of this folder go into depth.
 """

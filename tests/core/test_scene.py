@@ -115,7 +115,8 @@ def test_several_patterns_become_one_scene():
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 @pytest.mark.parametrize(
-    "key", [k for k, v in Settings().__dict__.items() if v is None or (isinstance(v, float) and not isinstance(v, bool))]
+    "key",
+    [k for k, v in Settings().__dict__.items() if v is None or (isinstance(v, float) and not isinstance(v, bool))],
 )
 def test_setting_that_is_not_positive_is_refused_with_its_name(key, value):
     with pytest.raises(SceneError, match=f"settings, {key}: .* is not a positive number"):
@@ -202,7 +203,12 @@ def test_builtin_garments_start_clear_of_the_builtin_bodies(name, body):
 
 
 def test_refusals_are_one_base_error_of_one_line():
-    for wrong in (lambda: Scene.build([]), lambda: settings_for("x"), lambda: Fabric.preset("x"), lambda: Settings(spacing=-1.0)):
+    for wrong in (
+        lambda: Scene.build([]),
+        lambda: settings_for("x"),
+        lambda: Fabric.preset("x"),
+        lambda: Settings(spacing=-1.0),
+    ):
         with pytest.raises(ClothError) as caught:
             wrong()
         assert "\n" not in str(caught.value)

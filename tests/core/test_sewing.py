@@ -26,13 +26,17 @@ def tube(width: float = 0.4, apart: float = 0.1, name: str = "tube", x: float = 
     return pattern(panels, [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))], name=name)
 
 
-def scene_of(patterns: Pattern | list[Pattern], body: Body | None = None, fabric: Fabric = POPLIN, **settings: float) -> Scene:
+def scene_of(
+    patterns: Pattern | list[Pattern], body: Body | None = None, fabric: Fabric = POPLIN, **settings: float
+) -> Scene:
     return Scene.build(patterns, body, fabric, settings=Settings(**({"spacing": 0.04} | settings)))
 
 
 def gaps(simulation: Simulation) -> dict[str, float]:
     x = simulation.positions
-    return {s.name: float(np.linalg.norm(x[s.first] - x[s.second], axis=1).max()) for s in simulation.scene.garment.seams}
+    return {
+        s.name: float(np.linalg.norm(x[s.first] - x[s.second], axis=1).max()) for s in simulation.scene.garment.seams
+    }
 
 
 def sewn(simulation: Simulation) -> Simulation:

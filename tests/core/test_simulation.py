@@ -133,7 +133,15 @@ def energy(simulation: Simulation) -> float:
     bend = model.bending
     force = np.zeros_like(x)
     bending_forces(
-        x, np.zeros_like(x), bend.lines, bend.line_stiffness, bend.hinges, bend.hinge_weights, bend.hinge_stiffness, 0.0, force
+        x,
+        np.zeros_like(x),
+        bend.lines,
+        bend.line_stiffness,
+        bend.hinges,
+        bend.hinge_weights,
+        bend.hinge_stiffness,
+        0.0,
+        force,
     )
     return float((model.mass[:, None] * v**2).sum() / 2 + stretch - (x * force).sum() / 2)
 
@@ -146,7 +154,10 @@ def test_free_undamped_sheet_keeps_energy_momentum_and_angular_momentum():
     )  # fmt: skip
     simulation = Simulation(scene)
     rng = np.random.default_rng(5)
-    throw(simulation, rng.standard_normal(garment.start.shape) * 0.2 + np.cross([1.0, 2.0, 5.0], garment.start) + [1, 0, 2])
+    throw(
+        simulation,
+        rng.standard_normal(garment.start.shape) * 0.2 + np.cross([1.0, 2.0, 5.0], garment.start) + [1, 0, 2],
+    )
     mass = simulation.model.mass[:, None]
 
     def totals():
@@ -381,7 +392,8 @@ from cloth_core.pattern import Pattern
 from cloth_core.quality import Settings
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
-s = Simulation(Scene.build(Pattern.load("skirt"), Body.load("young"), Fabric.preset("wool"), settings=Settings(spacing=0.05)))
+scene = Scene.build(Pattern.load("skirt"), Body.load("young"), Fabric.preset("wool"), settings=Settings(spacing=0.05))
+s = Simulation(scene)
 s.advance(0.9)
 print(s.phase, s.steps, s.state_hash())
 """
@@ -391,7 +403,8 @@ def test_same_bits_in_two_processes_with_one_and_two_threads():
     answers = [
         subprocess.run(
             [sys.executable, "-c", IN_A_PROCESS], capture_output=True, text=True, check=True, timeout=300,
-            env=os.environ | {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
+            env=os.environ
+            | {"NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
         ).stdout.split()
         for threads in ("1", "2")
     ]  # fmt: skip
@@ -399,7 +412,9 @@ def test_same_bits_in_two_processes_with_one_and_two_threads():
     phase, _, digest = answers[0]
     assert phase == "draping"  # sewn, and on its way
     assert len(digest) == 64
-    scene = Scene.build(Pattern.load("skirt"), Body.load("young"), Fabric.preset("wool"), settings=Settings(spacing=0.05))
+    scene = Scene.build(
+        Pattern.load("skirt"), Body.load("young"), Fabric.preset("wool"), settings=Settings(spacing=0.05)
+    )
     here = Simulation(scene)
     here.advance(0.9)
     assert here.state_hash() == digest
@@ -458,12 +473,14 @@ def test_report_counts_crossings_and_depth_of_the_state():
     x, triangles = simulation._x, simulation.model.triangles
     assert report.body_intersections == sides_through(x, triangles, ball.vertices, ball.triangles) > 0
     assert report.max_penetration == pytest.approx(0.1, rel=0.02)  # of the particle in the middle
-    x[:24] = x[25:] + [0.011, 0.007, 0.02]
+    x[:24] = [*x[25:], 0.011, 0.007, 0.02]
     x[::2, 2] -= 0.05
     expected = [
         (i, j)
         for i, j in unique_edges(triangles)[0].tolist()
-        if any(not {i, j} & set(t) and ipctk.is_edge_intersecting_triangle(x[i], x[j], *x[t]) for t in triangles.tolist())
+        if any(
+            not {i, j} & set(t) and ipctk.is_edge_intersecting_triangle(x[i], x[j], *x[t]) for t in triangles.tolist()
+        )
     ]
     assert simulation.report().self_intersections == len(expected) > 0
 
@@ -475,8 +492,18 @@ def test_scene_has_only_the_terms_that_it_needs_and_says_why():
     )  # fmt: skip
     simulation = Simulation(bare)
     terms = simulation.describe()["terms"]
-    for name in ("gravity", "air drag", "shear springs", "bending springs", "bending", "spring damping", "pins", "seams",
-                 "body contact", "friction"):  # fmt: skip
+    for name in (
+        "gravity",
+        "air drag",
+        "shear springs",
+        "bending springs",
+        "bending",
+        "spring damping",
+        "pins",
+        "seams",
+        "body contact",
+        "friction",
+    ):
         assert terms[name]["active"] is False, name
         assert terms[name]["elements"] == 0
         assert terms[name]["reason"]
@@ -490,8 +517,18 @@ def test_scene_has_only_the_terms_that_it_needs_and_says_why():
         Pattern.load("tshirt"), Body.load("young"), Fabric.preset("cotton_poplin"), settings=Settings(spacing=0.05)
     )
     terms = Simulation(full).describe()["terms"]
-    for name in ("gravity", "air drag", "structural springs", "shear springs", "bending springs", "bending", "spring damping",
-                 "seams", "body contact", "friction"):  # fmt: skip
+    for name in (
+        "gravity",
+        "air drag",
+        "structural springs",
+        "shear springs",
+        "bending springs",
+        "bending",
+        "spring damping",
+        "seams",
+        "body contact",
+        "friction",
+    ):
         assert terms[name]["active"] is True, name
         assert terms[name]["elements"] > 0
         assert terms[name]["reason"]

@@ -205,7 +205,9 @@ def test_bending_springs_add_four_of_their_stiffness_to_the_membrane():
 def test_cells_that_are_not_square():
     # 0.07 by 0.05 m at 0.02 m: cells of 17.5 by 16.7 mm.
     garment = sheet(0.07, 0.05, 0.02)
-    found = moduli(garment, build_springs(garment, plain_fabric(structural_warp=500.0, structural_weft=300.0, shear=70.0)))
+    found = moduli(
+        garment, build_springs(garment, plain_fabric(structural_warp=500.0, structural_weft=300.0, shear=70.0))
+    )
     assert found == pytest.approx({"C11": 370.0, "C22": 570.0, "C12": 70.0, "G": 70.0}, rel=0.06)
 
 
@@ -225,7 +227,9 @@ def test_pulled_strip_stretches_as_its_modulus_says():
     garment = sheet(0.1, 0.3, 0.02)
     fabric = plain_fabric(damping_time=1e-4, bending=0.0)
     top = np.flatnonzero(garment.rest[:, 1] > 0.149).astype(np.int32)
-    scene = Scene(garment=garment, fabric=fabric, pins=top, gravity=(0.0, -20.0, 0.0), air_drag=30.0, settings=Settings())
+    scene = Scene(
+        garment=garment, fabric=fabric, pins=top, gravity=(0.0, -20.0, 0.0), air_drag=30.0, settings=Settings()
+    )
     simulation = Simulation(scene)
     simulation.advance(2.0)
     weight = 0.2 * 0.3 * 20.0  # per width [N/m], at the top
@@ -242,8 +246,13 @@ def test_bending_springs_have_no_stiffness_when_flat():
     # Their energy grows with the fourth power of the angle: doubled, it is 16 times as large.
     h, k, energies = 0.01, 5.0, []
     for angle in (0.02, 0.04, 0.08):
-        ends = [[-h * math.cos(angle / 2), 0, h * math.sin(angle / 2)], [h * math.cos(angle / 2), 0, h * math.sin(angle / 2)]]
-        spring = Springs(np.array([[0, 1]], dtype=np.int32), np.array([2 * h]), np.array([k]), np.array([2], dtype=np.int32))
+        ends = [
+            [-h * math.cos(angle / 2), 0, h * math.sin(angle / 2)],
+            [h * math.cos(angle / 2), 0, h * math.sin(angle / 2)],
+        ]
+        spring = Springs(
+            np.array([[0, 1]], dtype=np.int32), np.array([2 * h]), np.array([k]), np.array([2], dtype=np.int32)
+        )
         energies.append(energy(np.array(ends), spring))
         assert energies[-1] == pytest.approx(k * h**2 * angle**4 / 32, rel=2e-3)
     assert energies[1] / energies[0] == pytest.approx(16.0, rel=2e-3)

@@ -50,7 +50,14 @@ def test_sheet_too_soft_for_its_weight_comes_to_rest_at_its_limit(limit):
             strain_limit=strain_limit,
         )  # fmt: skip
         simulation = Simulation(
-            Scene(garment=garment, fabric=fabric, pins=held, gravity=(0.0, -GRAVITY, 0.0), air_drag=5.0, settings=Settings())
+            Scene(
+                garment=garment,
+                fabric=fabric,
+                pins=held,
+                gravity=(0.0, -GRAVITY, 0.0),
+                air_drag=5.0,
+                settings=Settings(),
+            )
         )
         simulation.advance(3.0)
         return simulation
@@ -114,7 +121,9 @@ def test_it_only_ever_pulls():
 def test_limit_does_not_shorten_the_time_step():
     garment = sheet(0.2, 0.2, 0.05)
     steps = [
-        Model(Scene(garment=garment, fabric=plain_fabric(strain_limit=limit))).stable_step(garment.start * 1.1, 0.0).time_step
+        Model(Scene(garment=garment, fabric=plain_fabric(strain_limit=limit)))
+        .stable_step(garment.start * 1.1, 0.0)
+        .time_step
         for limit in (0.01, 10.0)
     ]
     assert steps[0] == steps[1]

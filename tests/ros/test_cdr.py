@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point
 from hypothesis import given
 from hypothesis import strategies as st
-from malformed_bodies import MALFORMED_BODIES
+from malformed_body_messages import MALFORMED_BODIES
 from rclpy.serialization import deserialize_message, serialize_message
 from shape_msgs.msg import Mesh, MeshTriangle
 from small_scenes import BOX_TRIANGLES, BOX_VERTICES

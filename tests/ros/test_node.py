@@ -6,7 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from malformed_bodies import MALFORMED_BODIES
+from malformed_body_messages import MALFORMED_BODIES
 from node_client import Client, NodeProcess
 from rclpy.serialization import serialize_message
 from small_scenes import BOX_TRIANGLES, BOX_VERTICES, handkerchief
