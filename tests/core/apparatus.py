@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import shapely
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
@@ -117,7 +118,7 @@ def body_of(mesh: trimesh.Trimesh, rotation: ArrayLike | None = None, move: Arra
 
 
 def crossings(x: Floats, triangles: NDArray[np.int32], body: Body) -> int:
-    """Sides of the cloth through the body and of the body through the cloth: all against all, without any tree.
+    """Sides of the cloth through the body and of the body through the cloth: without the package's trees.
 
     By the formula of Moeller and Trumbore, which is not the package's.
     """
@@ -129,22 +130,20 @@ def sides_through(va: Floats, ta: NDArray[np.int32], vb: Floats, tb: NDArray[np.
     """Number of sides of one mesh, (n, 3) and (m, 3), that cross any triangle of the other."""
     sides = np.unique(np.sort(np.concatenate([ta[:, [0, 1]], ta[:, [1, 2]], ta[:, [2, 0]]]), axis=1), axis=0)
     ends, corner = va[sides], vb[tb]
-    # Pairs whose boxes meet, in portions that fit into memory; of these the crossing ones.
-    low, high = corner.min(axis=1), corner.max(axis=1)
-    count = 0
-    for part in np.array_split(ends, len(ends) // 200 + 1):
-        meet = (low[None] <= part.max(axis=1)[:, None]) & (high[None] >= part.min(axis=1)[:, None])
-        side, triangle = np.nonzero(meet.all(axis=2))
-        p, near = part[side, 0], corner[triangle]
-        way, e1, e2 = part[side, 1] - p, near[:, 1] - near[:, 0], near[:, 2] - near[:, 0]
-        h = np.cross(way, e2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            f = 1.0 / (e1 * h).sum(-1)
-            s = p - near[:, 0]
-            k = np.cross(s, e1)
-            u, v, t = f * (s * h).sum(-1), f * (way * k).sum(-1), f * (e2 * k).sum(-1)
-        count += len(np.unique(side[(u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)]))
-    return count
+    # Pairs whose boxes meet as seen from above and from the side; of these the crossing ones.
+    a, b = (np.hstack([m.min(axis=1), m.max(axis=1)]) for m in (ends, corner))
+    side, triangle = shapely.STRtree(shapely.box(*b[:, [0, 1, 3, 4]].T)).query(shapely.box(*a[:, [0, 1, 3, 4]].T))
+    meet = (a[side, 2] <= b[triangle, 5]) & (b[triangle, 2] <= a[side, 5])
+    side, triangle = side[meet], triangle[meet]
+    p, near = ends[side, 0], corner[triangle]
+    way, e1, e2 = ends[side, 1] - p, near[:, 1] - near[:, 0], near[:, 2] - near[:, 0]
+    h = np.cross(way, e2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        f = 1.0 / (e1 * h).sum(-1)
+        s = p - near[:, 0]
+        k = np.cross(s, e1)
+        u, v, t = f * (s * h).sum(-1), f * (way * k).sum(-1), f * (e2 * k).sum(-1)
+    return len(np.unique(side[(u > 0) & (v > 0) & (u + v < 1) & (t > 0) & (t < 1)]))
 
 
 def throw(simulation: Simulation, velocity: ArrayLike) -> None:
