@@ -76,8 +76,14 @@ class Body:
         Raises:
             BodyError: wrong shapes, a coordinate that is not finite, an index out of range, or nothing left.
         """
-        points = np.array(vertices, dtype=np.float64)
-        raw = np.array(triangles)
+        try:
+            points = np.array(vertices, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise BodyError(f"body '{name}': vertices are no table of numbers; give (n, 3)") from None
+        try:
+            raw = np.array(triangles)
+        except ValueError:
+            raise BodyError(f"body '{name}': triangles are no table of indices; give (m, 3)") from None
         if points.ndim != 2 or points.shape[1:] != (3,) or len(points) == 0:
             raise BodyError(f"body '{name}': vertices have shape {points.shape}; give (n, 3) with n >= 3")
         if raw.ndim != 2 or raw.shape[1:] != (3,) or len(raw) == 0:

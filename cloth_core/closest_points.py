@@ -28,8 +28,8 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
     if d3 >= 0.0 and d4 <= d3:
         return _squared(bpx, bpy, bpz), 0.0, 1.0, 0.0
     vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        t = d1 / (d1 - d3) if d1 - d3 > 0.0 else 0.0
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
+        t = d1 / (d1 - d3)
         return _squared(apx - t * abx, apy - t * aby, apz - t * abz), 1.0 - t, t, 0.0
     cpx, cpy, cpz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
     d5 = abx * cpx + aby * cpy + abz * cpz
@@ -37,8 +37,8 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
     if d6 >= 0.0 and d5 <= d6:
         return _squared(cpx, cpy, cpz), 0.0, 0.0, 1.0
     vb = d5 * d2 - d1 * d6
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = d2 / (d2 - d6) if d2 - d6 > 0.0 else 0.0
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0 and d2 - d6 > 0.0:
+        t = d2 / (d2 - d6)
         return _squared(apx - t * acx, apy - t * acy, apz - t * acz), 1.0 - t, 0.0, t
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:

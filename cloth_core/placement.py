@@ -54,9 +54,11 @@ def _clear_shift(contact: Contact, body: BodyContact, x: Floats, normal: Floats,
         for direction in (1.0, -1.0):
             moved = np.ascontiguousarray(x + direction * distance * normal)
             travel = contact.search(moved, gap).travel
+            # One point tells inside from outside for all of a panel that nothing crosses.
+            inside = not body.body.warnings and float(body.body.signed_distance(moved[:1])[0]) < 0.0
             # Reach is twice the gap, so a panel that keeps its travel of a full gap has nothing nearer than it; one
             # that is crossed by the body has sides or corners at no distance from it.
-            if float(travel.min()) >= 0.9 * gap and not body.crosses(moved, contact.triangles):
+            if float(travel.min()) >= 0.9 * gap and not inside and not body.crosses(moved, contact.triangles):
                 return float(direction * distance)
             if distance == 0.0:
                 break

@@ -47,9 +47,9 @@ class Settings:
     contact_offset: float = 0.003
     push_speed: float = 0.5
     closing_time: float = 0.8
-    sewing_time: float = 2.0
+    sewing_time: float = 3.0
     seam_tolerance: float = 0.001
-    merge_distance: float = 0.008
+    merge_distance: float = 0.01
     rest_displacement: float = 0.0005
     rest_window: float = 0.1
     max_time: float = 20.0

@@ -52,9 +52,8 @@ class Scene:
             raise SceneError(f"air drag: {self.air_drag!r} is not a number of at least 0; give it in 1/s")
         pins = np.asarray(self.pins)
         if pins.size and (pins.min() < 0 or pins.max() >= self.garment.particle_count):
-            raise SceneError(
-                f"pins: particle {int(pins.max())} does not exist, there are {self.garment.particle_count}"
-            )
+            wrong = int(pins[(pins < 0) | (pins >= self.garment.particle_count)][0])
+            raise SceneError(f"pins: particle {wrong} does not exist, there are {self.garment.particle_count}")
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -205,18 +205,6 @@ def test_too_near_is_pushed_out_and_never_held_back(speed):
         np.testing.assert_allclose(z, OFFSET, rtol=0.01)
 
 
-@pytest.mark.parametrize("name", ["quad", "ball"])
-def test_too_near_is_pushed_out_at_most_at_the_push_speed(name):
-    # Half a millimetre from a surface whose triangles and sides all push at once.
-    garment = placed(sheet(0.06, 0.06, 0.01), move=[0.0, 0.0, 0.0005])
-    last = garment.start
-    for simulation in flight(garment, BODIES[name], np.zeros(3), 0.03, time_step=1e-4):
-        x = simulation.positions
-        speed = np.linalg.norm(x - last, axis=1).max() / simulation.time_step
-        assert speed <= simulation.scene.settings.push_speed * (1 + 1e-6)
-        last = x
-
-
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("spacing", [0.05, 0.3], ids=["fine", "coarse"])
 @pytest.mark.parametrize("name", BODIES)
@@ -234,18 +222,8 @@ def test_contact_never_adds_energy(name, spacing, friction):
     assert last < 0.99 * first  # there was an impact
 
 
-@pytest.mark.parametrize("speed", [1.0, 5.0])
-def test_cloth_that_flies_past_a_body_keeps_its_way(speed):
-    # 2 cm above a plane, parallel to it: contact must not touch it. Velocity and way belong together.
-    garment = placed(sheet(0.2, 0.2, 0.1), move=[-1.0, 0, 0.02])
-    velocity = np.array([speed, 0.0, 0.0])
-    *_, simulation = flight(garment, quad(), velocity, 1.0 / speed)
-    way = simulation.positions - garment.start
-    np.testing.assert_allclose(way, np.tile(velocity * simulation.time, (9, 1)), rtol=0.01, atol=1e-6)
-
-
 @pytest.mark.parametrize("fabric", ["silk", "jersey", "denim"])
-@pytest.mark.parametrize("speed", [0.5, 2.0, 5.0])
+@pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_cloth_that_glides_without_friction_keeps_its_way(speed, fabric):
     scene = Scene(
         garment=placed(sheet(0.2, 0.2, 0.025), move=[-1.0, 0, OFFSET]), body=quad(), air_drag=0.0,

@@ -105,7 +105,7 @@ def test_neighbours_do_not_count_as_crossing():
     x, faces = np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32)
     assert len(self_crossing_edges(x, faces)) == 0
     # Two balls that overlap, in one mesh: exactly the crossings of the one with the other, both ways.
-    shifted = [*x, 1.1, 0.05, 0.02]
+    shifted = x + np.array([1.1, 0.05, 0.02])
     both = np.vstack([x, shifted]), np.vstack([faces, faces + len(x)]).astype(np.int32)
     expected = len(crossing_edges(x, faces, shifted, faces)) + len(crossing_edges(shifted, faces, x, faces))
     assert expected > 10

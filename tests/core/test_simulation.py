@@ -473,7 +473,7 @@ def test_report_counts_crossings_and_depth_of_the_state():
     x, triangles = simulation._x, simulation.model.triangles
     assert report.body_intersections == sides_through(x, triangles, ball.vertices, ball.triangles) > 0
     assert report.max_penetration == pytest.approx(0.1, rel=0.02)  # of the particle in the middle
-    x[:24] = [*x[25:], 0.011, 0.007, 0.02]
+    x[:24] = x[25:] + np.array([0.011, 0.007, 0.02])
     x[::2, 2] -= 0.05
     expected = [
         (i, j)
