@@ -77,12 +77,13 @@ def _edges_through(
 
 @kernel
 def segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
-    """Whether pq passes through the inside of abc, by the signs of five tetrahedra's volumes."""
+    """Whether pq passes through abc from one side to the other, by the signs of five tetrahedra's volumes."""
     above, below = _volume(a, b, c, p), _volume(a, b, c, q)
     if (above > 0.0) == (below > 0.0) or above == 0.0 or below == 0.0:
         return False
     u, v, w = _volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)
-    return bool((u > 0.0 and v > 0.0 and w > 0.0) or (u < 0.0 and v < 0.0 and w < 0.0))
+    # Through a side that two triangles share counts as well: otherwise both would leave it to the other.
+    return bool((u >= 0.0 and v >= 0.0 and w >= 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0))
 
 
 @kernel
