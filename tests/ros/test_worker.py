@@ -375,7 +375,7 @@ def test_a_recording_holds_all_that_was_sent(bench):
     assert parameters["quality"] == "draft"
     # The same bytes as were sent, from the first frame of the recording on.
     assert logged == bench.listener.of(GARMENT)[-len(logged) :]
-    assert len(logged) > 10
+    assert len(logged) > 2  # the start, what came between (as often as the wall clock asks), and rest
 
 
 def test_a_recording_goes_on_over_a_second_pattern(bench):
