@@ -1,14 +1,15 @@
 """How all compiled functions are compiled: cached, without the GIL, division by zero gives inf as in NumPy.
 
 Numba keeps a cached function until its own file changes, although it holds compiled copies of what it calls in other
-files; after an update that would run old code on new arrays. So the cache lies in a directory named after the content
-of the whole package.
+files; after an update that would run old code on new arrays. So the cache of each module lies in a directory named
+after the content of that module and of all modules of the package that it imports, directly or not.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -24,13 +25,26 @@ _config: Any = numba.config
 _njit: Any = numba.njit
 
 
+_IMPORT = re.compile(r"^\s*from cloth_core\.(\w+) import", re.MULTILINE)
+
+
 @cache
-def cache_directory() -> Path:
-    """Where compiled functions are kept: below NUMBA_CACHE_DIR, else below the user's cache directory."""
+def cache_directory(module: str) -> Path:
+    """Where the compiled functions of a module (`cloth_core.springs`) are kept.
+
+    Below NUMBA_CACHE_DIR, else below the user's cache directory.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.name.encode())
-        digest.update(source.read_bytes())
+    folder = Path(__file__).parent
+    waiting, sources = [module.rpartition(".")[2], "kernel"], {}
+    while waiting:
+        name = waiting.pop()
+        source = folder / f"{name}.py"
+        if name not in sources and source.exists():
+            sources[name] = source.read_text(encoding="utf-8")
+            waiting += _IMPORT.findall(sources[name])
+    for name in sorted(sources):
+        digest.update(f"{name}\n{sources[name]}".encode())
     user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(_config.CACHE_DIR or Path(user) / "cloth_core") / digest.hexdigest()[:16]
 
@@ -48,7 +62,7 @@ def inlined_kernel(function: F) -> F:
 def _compiled(function: F, inline: str) -> F:
     # The place is read when the function is decorated; other packages' functions keep theirs.
     before = _config.CACHE_DIR
-    _config.CACHE_DIR = str(cache_directory())
+    _config.CACHE_DIR = str(cache_directory(function.__module__))
     try:
         return cast(F, _njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
     except (RuntimeError, OSError):  # no directory can be written to: compile anew in each process
