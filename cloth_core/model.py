@@ -97,7 +97,7 @@ class Model:
         self.contact: Contact | None = Contact(
             self.triangles,
             BodyContact(scene.body, offset) if scene.body is not None else None,
-            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset),
+            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset, sewing),
             radius=min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing),
         )
         self.terms = self._terms(closed)
