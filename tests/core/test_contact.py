@@ -10,6 +10,8 @@ from apparatus import GRAVITY, body_of, crossings, placed, plain_fabric, sheet, 
 from scipy.spatial.transform import Rotation
 
 from cloth_core.body import Body
+from cloth_core.body_contact import BodyContact
+from cloth_core.contact import Contact
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.quality import Settings
@@ -153,9 +155,9 @@ def test_travel_bound_is_less_than_the_distance_to_anything(seed):
     body = body_of(trimesh.creation.icosphere(1, radius=0.1), Rotation.random(random_state=seed).as_matrix())
     garment = placed(sheet(0.2, 0.2, 0.1), Rotation.random(random_state=seed + 10).as_matrix(), [0.0, 0.0, 0.16])
     x = garment.start + 0.01 * rng.standard_normal(garment.start.shape)
-    scene = Scene(garment=garment, body=body, fabric=plain_fabric(), settings=Settings(contact_offset=OFFSET))
+    contact = Contact(garment.triangles, BodyContact(body, OFFSET), radius=0.2)
     reach = 0.2
-    travel = Simulation(scene).model.contact.search(x, reach).travel
+    travel = contact.search(x, reach).travel
     free = np.full(len(x), np.inf)
     for t in garment.triangles:
         for b in body.triangles:
