@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.body_repair import repair_mesh
-from cloth_core.closest_points import point_triangle
 from cloth_core.errors import BodyError
-from cloth_core.kernel import kernel
+from cloth_core.mesh_distance import distances_to_mesh
 from cloth_core.mesh_topology import Representatives, representatives
 from cloth_core.winding_number import Dipoles, dipoles, winding_numbers
 
@@ -135,7 +134,7 @@ class Body:
         that overlap all have an inside: a hole is closed by a surface that spans it smoothly.
         """
         where = np.ascontiguousarray(points, dtype=np.float64)
-        distance = _distances(where, self.vertices, self.triangles, self.tree)
+        distance = distances_to_mesh(where, self.vertices, self.triangles, self.tree)
         return np.where(self.winding_number(where) > 0.5, -distance, distance)
 
     @cached_property
@@ -147,43 +146,3 @@ def builtin_bodies() -> list[str]:
     """Names of the bodies that come with the package."""
     folder = resources.files("cloth_core") / "data" / "bodies"
     return sorted(entry.name[:-4] for entry in folder.iterdir() if entry.name.endswith(".ply"))
-
-
-@kernel
-def _box_distance(tree: AabbTree, node: int, p: Floats) -> float:
-    squared = 0.0
-    for k in range(3):
-        gap = max(tree.lower[node, k] - p[k], max(0.0, p[k] - tree.upper[node, k]))
-        squared += gap * gap
-    return squared
-
-
-@kernel
-def _distances(points: Floats, vertices: Floats, triangles: Ints, tree: AabbTree) -> Floats:
-    """Distance of each point (k, 3) to the nearest triangle [m], shape (k,)."""
-    out = np.empty(points.shape[0])
-    # Trees are balanced: 22 levels hold two million triangles, and a level adds one entry.
-    stack = np.zeros(128, dtype=np.int32)
-    for i in range(points.shape[0]):
-        p = points[i]
-        best = np.inf
-        top = 1
-        stack[0] = 0
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            if _box_distance(tree, node, p) >= best:
-                continue
-            t = tree.triangle[node]
-            if t >= 0:
-                a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-                best = min(best, point_triangle(p, a, b, c)[0])
-                continue
-            left, right = node + 1, tree.right[node]
-            if _box_distance(tree, left, p) < _box_distance(tree, right, p):
-                left, right = right, left
-            stack[top] = left
-            stack[top + 1] = right
-            top += 2
-        out[i] = np.sqrt(best)
-    return out
