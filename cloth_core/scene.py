@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.layering import separate_panels
 from cloth_core.pattern import Pattern
+from cloth_core.pattern_layers import layers_of
 from cloth_core.placement import clear_of_body
 from cloth_core.quality import Settings, settings_for
 
@@ -104,7 +105,7 @@ class Scene:
         one = [patterns] if isinstance(patterns, Pattern) else list(patterns)
         if not one:
             raise SceneError("scene: there is no pattern; give at least one")
-        garments = [Garment.from_pattern(p, chosen.spacing) for p in _distinct(one)]
+        garments = [Garment.from_pattern(p, chosen.spacing) for p in layers_of(one)]
         garment = Garment.joined(garments)
         layers = [k for k, g in enumerate(garments) for _ in g.panel_names]
         if body is not None:
@@ -123,17 +124,6 @@ class Scene:
             air_drag=air_drag,
             settings=chosen,
         )
-
-
-def _distinct(patterns: list[Pattern]) -> list[Pattern]:
-    """The patterns with names that differ: the second T-shirt is called so."""
-    seen: dict[str, int] = {}
-    result = []
-    for pattern in patterns:
-        seen[pattern.name] = seen.get(pattern.name, 0) + 1
-        times = seen[pattern.name]
-        result.append(pattern if times == 1 else replace(pattern, name=f"{pattern.name} {times}"))
-    return result
 
 
 def _check_scale(garment: Garment, body: Body) -> None:
