@@ -21,7 +21,14 @@ from cloth_core.mesh_topology import unique_edges
 from cloth_core.orientation import orientation
 from cloth_core.pair_list import doubled
 
-__all__ = ["crossing_edges", "crossing_pairs", "segment_crosses", "self_crossing_edges", "self_crossing_pairs"]
+__all__ = [
+    "crossed_triangles",
+    "crossing_edges",
+    "crossing_pairs",
+    "segment_crosses",
+    "self_crossing_edges",
+    "self_crossing_pairs",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -51,23 +58,31 @@ def crossing_pairs(
     return edges, _pairs(vertices, edges, other_vertices, other_triangles, tree, nobody)
 
 
-def self_crossing_edges(vertices: Floats, triangles: Ints, sewn: Ints | None = None) -> Ints:
+def self_crossing_edges(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> Ints:
     """Sides of a mesh that cross a triangle of the same mesh with which they share no corner, shape (k, 2).
 
     Args:
         vertices, triangles: (n, 3) [m] and (m, 3).
-        sewn: number of each vertex once all seams are closed, (n,), where they are not closed in `triangles`: vertices
-            with one number count as one corner.
+        identity: equal numbers are one corner, (n,), as when points are to be sewn together; each vertex is its own if
+            none is given.
     """
-    edges, pairs = self_crossing_pairs(vertices, triangles, sewn)
+    edges, pairs = self_crossing_pairs(vertices, triangles, identity)
     return np.asarray(edges[np.unique(pairs[:, 0])])
 
 
-def self_crossing_pairs(vertices: Floats, triangles: Ints, sewn: Ints | None = None) -> tuple[Ints, Ints]:
+def self_crossing_pairs(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> tuple[Ints, Ints]:
     """All sides (e, 2) of a mesh, and pairs (k, 2): index of a side, index of a triangle that it crosses; see above."""
     edges, _ = unique_edges(triangles)
-    number = np.arange(len(vertices), dtype=np.int32) if sewn is None else np.asarray(sewn, dtype=np.int32)
-    return edges, _pairs(vertices, edges, vertices, triangles, build_tree(vertices, triangles), number)
+    number = np.arange(len(vertices)) if identity is None else np.asarray(identity)
+    tree = build_tree(vertices, triangles)
+    return edges, _pairs(vertices, edges, vertices, triangles, tree, number.astype(np.int32))
+
+
+def crossed_triangles(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> NDArray[np.bool_]:
+    """Which triangles of a mesh are crossed by a side of it with which they share no corner, shape (m,)."""
+    crossed = np.zeros(len(triangles), dtype=bool)
+    crossed[self_crossing_pairs(vertices, triangles, identity)[1][:, 1]] = True
+    return crossed
 
 
 def _pairs(x: Floats, edges: Ints, other_x: Floats, other_triangles: Ints, tree: AabbTree, number: Ints) -> Ints:
