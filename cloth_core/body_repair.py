@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import build_tree
+from cloth_core.equal_rows import first_of_equal
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
 from cloth_core.winding_number import dipoles, winding_numbers
@@ -79,7 +80,7 @@ def _weld(x: Floats, triangles: Ints, repairs: dict[str, int]) -> Ints:
     """Triangles in which the first vertex at a place stands for all others there."""
     used = np.zeros(len(x), dtype=bool)
     used[triangles] = True
-    first = _first_of_equal(x.view(np.uint64))
+    first = first_of_equal(x.view(np.uint64))
     faces = first[triangles]
     edges, sides = unique_edges(faces)
     at_rim = np.zeros(len(x), dtype=bool)
@@ -101,35 +102,6 @@ def _weld(x: Floats, triangles: Ints, repairs: dict[str, int]) -> Ints:
     if merged:
         repairs["duplicate vertices merged"] = merged
     return np.asarray(faces, dtype=np.int32)
-
-
-@kernel
-def _first_of_equal(rows: NDArray[np.uint64]) -> Ints:
-    """For each row of (n, 3) the first row that is equal to it, shape (n,): by a hash table with open addressing."""
-    count = rows.shape[0]
-    size = 4
-    while size < 2 * count:
-        size *= 2
-    mask = np.uint64(size - 1)
-    table = np.full(size, -1, dtype=np.int32)
-    first = np.empty(count, dtype=np.int32)
-    for i in range(count):
-        key = np.uint64(1469598103934665603)
-        for k in range(3):
-            key = (key ^ rows[i, k]) * np.uint64(11400714819323198485)
-            key ^= key >> np.uint64(29)
-        slot = key & mask
-        while True:
-            other = table[slot]
-            if other < 0:
-                table[slot] = i
-                first[i] = i
-                break
-            if rows[i, 0] == rows[other, 0] and rows[i, 1] == rows[other, 1] and rows[i, 2] == rows[other, 2]:
-                first[i] = other
-                break
-            slot = (slot + np.uint64(1)) & mask
-    return first
 
 
 @kernel
@@ -182,7 +154,7 @@ def _flat(x: Floats, faces: Ints) -> NDArray[np.bool_]:
 
 
 def _without_duplicates(faces: Ints, repairs: dict[str, int]) -> Ints:
-    first = _first_of_equal(np.sort(faces, axis=1).astype(np.uint64))
+    first = first_of_equal(np.sort(faces, axis=1).astype(np.uint64))
     kept = first == np.arange(len(faces))
     if kept.all():
         return faces
