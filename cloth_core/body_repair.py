@@ -27,6 +27,8 @@ Ints = NDArray[np.int32]
 _WELD_SHARE = 1e-6
 # A piece that encloses less than this share of its area to the power 1.5 is a sheet without an inside (a ball: 0.094).
 _LEAST_VOLUME_SHARE = 1e-3
+# A mesh of which more triangles than this share hang together with no other is called loose.
+_MOST_LOOSE = 0.1
 # Shells, largest first, in which others are looked for, and points of those others that are tried.
 _MOST_NESTED_CHECKED = 64
 _NESTED_SAMPLES = 16
@@ -260,6 +262,12 @@ def _turned(x: Floats, faces: Ints, repairs: dict[str, int], warnings: list[str]
     branched = int((pieces.uses > 2).sum())
     if branched:
         warnings.append(f"{branched} sides have more than two triangles; which way is out is decided for each piece")
+    loose = int((size == 1).sum())
+    if loose > _MOST_LOOSE * len(faces):
+        warnings.append(
+            f"{loose} of {len(faces)} triangles share no side with exactly one other; "
+            "which of their sides is out is taken from the file"
+        )
     if pieces.twisted.any():
         warnings.append(
             f"{int(size[pieces.twisted].sum())} triangles form a surface with one side only (a Moebius strip); "

@@ -172,6 +172,20 @@ def test_side_of_four_triangles_is_counted_and_both_pieces_face_outwards():
     assert volume(body) == pytest.approx(2.0)
 
 
+def test_triangles_that_do_not_hang_together_keep_their_winding_and_are_named():
+    mesh = ball()
+    x, faces = soup(mesh)
+    middle = np.repeat(mesh.triangles_center, 3, axis=0)
+    body = Body.from_arrays(middle + 0.98 * (x - middle), faces, "shards")  # gaps that can be seen
+    assert body.repairs == {}
+    assert f"{len(faces)} of {len(faces)} triangles share no side with exactly one other" in body.warnings[1]
+    inside = np.linalg.norm(around(body, 500), axis=1) < 0.9
+    outside = np.linalg.norm(around(body, 500), axis=1) > 1.1
+    distance = body.signed_distance(around(body, 500))
+    assert (distance[inside] < 0).all()
+    assert (distance[outside] > 0).all()
+
+
 # ---- what is inside
 
 
