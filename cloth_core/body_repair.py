@@ -25,8 +25,12 @@ Ints = NDArray[np.int32]
 
 # Vertices at the rim of a hole that are no farther apart than this share of the mesh's size are one.
 _WELD_SHARE = 1e-6
-# A piece that encloses less than this share of its area to the power 1.5 is a sheet without an inside (a ball: 0.094).
-_LEAST_VOLUME_SHARE = 1e-3
+# An open piece encloses something if its holes can be closed with less than this share of its area (a hemisphere: 0.5).
+_MOST_CLOSING = 0.6
+# A closed piece encloses something unless rounding decides: share of its area to the power 1.5 (a ball: 0.094).
+_LEAST_VOLUME = 1e-9
+# Fragments enclose something together from this share on (a standing person: 0.025).
+_LEAST_TOGETHER = 0.003
 # A mesh of which more triangles than this share hang together with no other is called loose.
 _MOST_LOOSE = 0.1
 # Shells, largest first, in which others are looked for, and points of those others that are tried.
@@ -238,10 +242,14 @@ def _turned(x: Floats, faces: Ints, repairs: dict[str, int], warnings: list[str]
     piece, count, turn = pieces.piece, pieces.total, pieces.turn.copy()
     size = np.bincount(piece, minlength=count)
     turn[pieces.twisted[piece]] = False
-    volume, area = _enclosed(x, *_reversed(faces, sides, turn), pieces)
+    volume, bare, area, closing = _enclosed(x, *_reversed(faces, sides, turn), pieces)
+    broken = np.zeros(count, dtype=bool)
+    broken[piece[(pieces.uses[sides] != 2).any(axis=1)]] = True
+    sheet = (closing > _MOST_CLOSING * area) | (np.abs(volume) < _LEAST_VOLUME * area**1.5)
+    # A sheet stays as most of it is, or goes with the rest where that is given inside out.
     most = 2 * np.bincount(piece, weights=turn, minlength=count) > size
-    sheet = np.abs(volume) < _LEAST_VOLUME_SHARE * area**1.5
-    turn ^= np.where(sheet, most, volume < 0.0)[piece] & ~pieces.twisted[piece]
+    inside_out = _given_inside_out(most, volume, bare, area, sheet)
+    turn ^= np.where(sheet, most != inside_out, volume < 0.0)[piece] & ~pieces.twisted[piece]
     turned = np.bincount(piece, weights=turn, minlength=count).astype(np.int64)
     whole = turned == size
     for what, number in (
@@ -250,8 +258,6 @@ def _turned(x: Floats, faces: Ints, repairs: dict[str, int], warnings: list[str]
     ):
         if number:
             repairs[what] = number
-    broken = np.zeros(count, dtype=bool)
-    broken[piece[(pieces.uses[sides] != 2).any(axis=1)]] = True
     faces, _ = _reversed(faces, sides, turn)
     rim = int((pieces.uses == 1).sum())
     if rim:
@@ -283,8 +289,21 @@ def _reversed(faces: Ints, sides: Ints, turn: NDArray[np.bool_]) -> tuple[Ints, 
     return np.ascontiguousarray(corners), np.where(turn[:, None], sides[:, [1, 0, 2]], sides)
 
 
-def _enclosed(x: Floats, faces: Ints, sides: Ints, pieces: _Pieces) -> tuple[Floats, Floats]:
-    """Signed volume [m^3] of each piece, with its holes closed by fans from their middles, and its area [m^2]."""
+def _given_inside_out(
+    most: NDArray[np.bool_], volume: Floats, bare: Floats, area: Floats, sheet: NDArray[np.bool_]
+) -> bool:
+    """Whether a mesh came inside out: by the pieces that enclose something, or by fragments that do so together.
+
+    All for each piece: whether most of it came the other way round than `volume` and `bare` count it, and so on.
+    """
+    if area[~sheet].sum() >= area[sheet].sum():
+        return bool((area * np.where(most != (volume < 0.0), 1.0, -1.0))[~sheet].sum() > 0.0)
+    together = float((bare * np.where(most, -1.0, 1.0))[sheet].sum())
+    return int(sheet.sum()) > 1 and together < -_LEAST_TOGETHER * float(area.sum()) ** 1.5
+
+
+def _enclosed(x: Floats, faces: Ints, sides: Ints, pieces: _Pieces) -> tuple[Floats, Floats, Floats, Floats]:
+    """Signed volume [m^3] of each piece, its holes closed by fans from their middles, and open; its area and theirs."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -297,7 +316,7 @@ def _enclosed(x: Floats, faces: Ints, sides: Ints, pieces: _Pieces) -> tuple[Flo
     # Sides of a piece that no other of its triangles continues, in the order in which their triangle runs along them.
     open_side = pieces.uses[sides] != 2
     if not open_side.any():
-        return np.asarray(volume), np.asarray(area)
+        return np.asarray(volume), np.asarray(volume), np.asarray(area), np.zeros(count, dtype=np.float64)
     t, k = np.nonzero(open_side)
     start, end = faces[t, k], faces[t, (k + 1) % 3]
     place = pieces.piece[t].astype(np.int64) * len(x)
@@ -308,8 +327,13 @@ def _enclosed(x: Floats, faces: Ints, sides: Ints, pieces: _Pieces) -> tuple[Flo
     loop_of = loop[start_of]
     uses = np.bincount(loop_of, minlength=loops)
     middle = np.stack([np.bincount(loop_of, weights=y[start][:, k], minlength=loops) / uses for k in range(3)], axis=1)
-    fan = np.einsum("ij,ij->i", middle[loop_of], np.cross(y[end], y[start])) / 6.0
-    return np.asarray(volume + np.bincount(pieces.piece[t], weights=fan, minlength=count)), np.asarray(area)
+    tip, first, second = middle[loop_of], y[end], y[start]
+    fan = np.einsum("ij,ij->i", tip, np.cross(first, second)) / 6.0
+    fan_area = np.sqrt((np.cross(first - tip, second - tip) ** 2).sum(axis=1)) / 2.0
+    own = pieces.piece[t]
+    closed = np.asarray(volume + np.bincount(own, weights=fan, minlength=count))
+    closing = np.bincount(own, weights=fan_area, minlength=count).astype(np.float64)
+    return closed, np.asarray(volume), np.asarray(area), closing
 
 
 def _nested(x: Floats, faces: Ints, piece: Ints, closed: NDArray[np.bool_]) -> list[str]:

@@ -112,6 +112,26 @@ def test_open_shell_is_turned_by_what_it_would_enclose():
     assert (np.einsum("ij,ij->i", normals, as_trimesh(body).triangles_center) > 0).all()
 
 
+def test_fragments_go_with_the_body_that_they_were_torn_from():
+    # Without a third of its triangles a body has hundreds of fragments, many of them hollow seen from outside.
+    woman = Body.load("young")
+    kept = woman.triangles[np.random.default_rng(0).random(len(woman.triangles)) > 0.3]
+    for wound, turned in ((kept, 0), (kept[:, ::-1], len(kept))):
+        body = Body.from_arrays(woman.vertices, wound)
+        assert body.repairs.get("triangles turned outside out", 0) == turned
+        points = around(body, 2000)
+        distance = woman.signed_distance(points)
+        clear = np.abs(distance) > 0.02
+        assert ((body.signed_distance(points) < 0) != (distance < 0))[clear].sum() == 0
+
+
+def test_thin_closed_plate_has_an_inside():
+    plate = trimesh.creation.box(extents=[1, 1, 1e-4])
+    body = Body.from_arrays(plate.vertices, plate.faces[:, ::-1])
+    assert body.repairs == {"triangles turned outside out": 12}
+    assert body.signed_distance(np.zeros((1, 3)))[0] == pytest.approx(-5e-5)
+
+
 def test_flat_sheet_keeps_the_winding_of_most_of_it():
     x, y = np.meshgrid(np.arange(6.0), np.arange(6.0))
     points = np.column_stack([x.ravel(), y.ravel(), np.zeros(36)])
