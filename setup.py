@@ -29,6 +29,7 @@ TEST = [
     "pytest>=8.0",
     # Independent truths: other people's readers of logs, distances and intersections, curves, and what trimesh needs.
     "ipctk>=1.3",
+    "libigl>=2.6",
     "mcap-ros2-support>=0.5",
     "rosbags>=0.10",
     "rtree>=1.0",

@@ -105,6 +105,11 @@ def cli() -> None:
 @click.option("--picture", type=OutputFile([".png"]), help="Front and back view (PNG).")
 @click.option("--size", type=PictureSize(), default="1600x1000", show_default=True, help="Of the picture, in pixels.")
 @click.option("--report", type=OutputFile([".json"]), help="Numbers of the run (JSON, SI units).")
+@click.option(
+    "--gate",
+    is_flag=True,
+    help="Judges the result: nothing through body or cloth, static, in time. Exit code 1 if it fails.",
+)
 def drape(
     patterns: tuple[str, ...],
     output: Path | None,
@@ -112,12 +117,13 @@ def drape(
     picture: Path | None,
     size: tuple[int, int],
     report: Path | None,
+    gate: bool,
     **scene_options: Any,
 ) -> None:
     """Sews PATTERN together around the body and lets it come to rest.
 
     PATTERN is a GarmentCode pattern (JSON file) or a built-in one: tshirt, skirt, trousers, dress, rectangle. Several
-    become one scene. Ctrl-C stops the run and writes what there is.
+    are worn over each other, the innermost first. Ctrl-C stops the run and writes what there is.
     """
     from cloth_sim_ros.run_tables import print_report
 
@@ -128,7 +134,7 @@ def drape(
         try:
             recorder = _recorder(record, loaded, simulation, parameters)
             with Interruption() as interruption:
-                result = _settle(simulation, recorder, display, interruption)
+                result = _settle(simulation, recorder, display, interruption, gate=gate)
                 _write_results(simulation, result, display, output=output, picture=picture, size=size, report=report)
         except ClothError as error:
             raise FailedRun(str(error)) from error
@@ -136,6 +142,8 @@ def drape(
     print_report(result)
     for path in outputs:
         click.echo(f"wrote {path}")
+    if result.gate is not None and not result.gate["passed"]:
+        raise FailedRun(f"{result.garment}: the gate is not passed: {'; '.join(result.gate['failed'])}")
     if result.open_seams:
         gaps = ", ".join(f"{name} ({1000 * gap:.1f} mm)" for name, gap in result.open_seams.items())
         raise FailedRun(f"seams still open: {gaps}; check that the panels can reach each other around the body")
@@ -280,9 +288,14 @@ def _recorder(
 
 
 def _settle(
-    simulation: Simulation, recorder: RunRecorder | None, display: ProgressDisplay, interruption: Interruption
+    simulation: Simulation,
+    recorder: RunRecorder | None,
+    display: ProgressDisplay,
+    interruption: Interruption,
+    *,
+    gate: bool,
 ) -> Report:
-    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile."""
+    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile; judges the result if asked to."""
 
     def on_tick(simulation: Simulation) -> bool:
         if recorder is not None:
@@ -294,14 +307,38 @@ def _settle(
     try:
         if recorder is not None:
             recorder.follow(simulation)
-        result = simulation.settle(on_tick)
+        failure = None
+        try:
+            result = simulation.settle(on_tick)
+        except SimulationError as error:
+            if not gate:
+                raise
+            failure = str(error)
+            result = simulation.report(f"failed: {failure}")
         display.step("measuring the result")
+        if gate:
+            result = _judged(simulation, result, failure)
         if recorder is not None:
             recorder.finish(simulation, result)
     finally:
         if recorder is not None:
             recorder.close()
     return result
+
+
+def _judged(simulation: Simulation, result: Report, failure: str | None) -> Report:
+    """The report with the gate's verdict."""
+    from dataclasses import replace
+
+    from cloth_core.gate import frame_movement, judge
+
+    movement = None
+    if failure is None:
+        try:
+            movement = frame_movement(simulation)
+        except SimulationError as error:
+            failure = str(error)
+    return replace(result, gate=judge(result, movement, failure))
 
 
 def _write_results(
