@@ -217,6 +217,58 @@ def play(log: str, rate: float, loop: bool) -> None:
         play_log(log, rate=rate, loop=loop, progress=functools.partial(display.share, "{done} s of {total} s played"))
 
 
+@cli.command()
+@click.argument("log", metavar="RUN.mcap")
+@click.option("--verify", is_flag=True, help="Checks each byte of the log and compares all frames and reports with it.")
+def replay(log: str, verify: bool) -> None:
+    """Simulates the runs of the log RUN.mcap again, from what is in the log alone.
+
+    Exit code with --verify. 0: each frame and report is identical, bit by bit. 1: one is not; the error says which
+    frame and particle differ first. 2: the log is damaged; the error says where.
+    """
+    from cloth_sim_ros.replay import ReplayDifference, replay_log, verify_log
+    from cloth_sim_ros.run_tables import print_report
+
+    with ProgressDisplay() as display:
+        display.step(f"simulating {log} again")
+
+        def on_tick(simulation: Simulation) -> None:
+            display.show(simulation.progress)
+
+        if not verify:
+            reports = replay_log(log, on_tick)
+        else:
+            try:
+                found = verify_log(log, on_tick)
+            except ReplayDifference as error:
+                raise FailedRun(str(error)) from None
+    if not verify:
+        for report in reports:
+            print_report(report)
+        return
+    click.echo(
+        f"{log}: identical: {found.frames} frames with {found.particles} positions and {found.reports} reports of "
+        f"{found.runs} run{'s' * (found.runs > 1)}, {found.simulated_time:.3f} s simulated"
+        f"{f', state_sha256 {found.state_sha256}' if found.state_sha256 else ''}"
+    )
+
+
+@cli.command()
+@click.argument("broken", metavar="BROKEN.mcap")
+@click.option("--output", "-o", type=OutputFile([".mcap"]), required=True, help="The log that is made of it.")
+def recover(broken: str, output: Path) -> None:
+    """Saves all whole chunks of BROKEN.mcap, the log of a process that was killed: all but its last second at most.
+
+    BROKEN.mcap is only read.
+    """
+    from cloth_sim_ros.log_repair import recover_log
+
+    _check_inputs_are_kept((broken,), (output,))
+    found = recover_log(broken, output)
+    state = "it was whole" if found.was_whole else f"{found.lost_bytes} bytes behind or between them are lost"
+    click.echo(f"wrote {output}: {found.messages} messages of {found.duration:.3f} s in {found.chunks} chunks; {state}")
+
+
 # Parts of commands
 
 
@@ -250,8 +302,8 @@ def _prepare(
     from cloth_core.fabric import Fabric
     from cloth_core.pattern import Pattern
     from cloth_core.scene import Scene
-    from cloth_core.simulation import Simulation
     from cloth_sim_ros.scene_inputs import SceneParameters
+    from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 
     parameters = SceneParameters(
         fabric=fabric, quality=quality or "normal", tolerance=tolerance or 0.0, gravity=gravity, air_drag=air_drag
@@ -264,7 +316,7 @@ def _prepare(
     chosen_body = None if body is None else Body.load(body)
     display.step("preparing the scene (the first run after an installation compiles, which takes longer)")
     scene = Scene.build(patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag)
-    return patterns, Simulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
+    return patterns, ScheduledSimulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
 
 
 def _recorder(
@@ -276,7 +328,9 @@ def _recorder(
     from cloth_sim_ros.run_recorder import RunRecorder
 
     path.unlink(missing_ok=True)
-    return RunRecorder(path, [pattern.source for pattern in patterns], simulation.scene.body, parameters)
+    scene = simulation.scene
+    texts = [pattern.source for pattern in patterns]
+    return RunRecorder(path, texts, scene.body, parameters, patterns=patterns, scene=scene)
 
 
 def _settle(
