@@ -117,7 +117,8 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
     """Vertices [m], (n, 3), and triangles, (m, 3), of a `shape_msgs/Mesh`; no value is changed.
 
     Raises:
-        BodyError: counts that the bytes do not hold, more than `max_triangles`, or an index without a vertex.
+        BodyError: counts that the bytes do not hold, more than `max_triangles` or than the vertices of so many, or an
+            index without a vertex. The counts are checked before memory is taken.
     """
     try:
         reader = CdrReader(data, "body message")
@@ -127,21 +128,25 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
                 f"body message: {triangle_count} triangles are more than max_triangles = {max_triangles}; "
                 "send a coarser mesh or raise the parameter"
             )
-        indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]")
-        triangles = indices.astype(np.int64).reshape(-1, 3)
+        indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]").reshape(-1, 3)
         vertex_count = reader.uint32("count of vertices")
+        if max_triangles is not None and vertex_count > 3 * max_triangles:
+            raise BodyError(
+                f"body message: {vertex_count} vertices are more than max_triangles = {max_triangles} can have; "
+                "leave out the unused ones or raise the parameter"
+            )
         vertices = reader.array("<f8", 3 * vertex_count, f"vertices[{vertex_count}]").reshape(-1, 3)
         reader.end()
     except CdrError as error:
         raise BodyError(str(error)) from None
-    outside = (triangles >= vertex_count).any(axis=1)
+    outside = (indices >= vertex_count).any(axis=1)
     if outside.any():
         worst = int(outside.argmax())
         raise BodyError(
-            f"body message, triangle {worst}: index {int(triangles[worst].max())} has no vertex; "
+            f"body message, triangle {worst}: index {int(indices[worst].max())} has no vertex; "
             f"send indices from 0 to {vertex_count - 1}, the last vertex"
         )
-    return vertices.astype(np.float64), triangles.astype(np.int32)
+    return vertices.astype(np.float64), indices.astype(np.int32)
 
 
 class MarkerEncoder:

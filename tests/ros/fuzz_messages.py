@@ -15,6 +15,7 @@ import random
 import sys
 import tempfile
 import time
+import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,6 +107,8 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
     node = NodeUnderFuzz(directory)
     result = FuzzResult()
     files = set(directory.rglob("*"))
+    # What Python only warns of is a line on standard error that nobody asked for.
+    warnings.simplefilter("error")
     try:
         for seed in range(first_seed, first_seed + count):
             if seed % 50 == first_seed % 50:

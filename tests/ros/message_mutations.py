@@ -305,7 +305,11 @@ def mutated_body(seed: int, sources: dict[str, tuple[np.ndarray, np.ndarray]]) -
     vertices, triangles = (array.copy() for array in rng.choice(list(sources.values())))
     if rng.random() < 0.1:
         return _mutated_bytes(encode_mesh(vertices, triangles), rng)
-    triangles = triangles.astype(np.int64)
+    with np.errstate(all="ignore"):
+        return _mutated_mesh(vertices, triangles.astype(np.int64), seed, rng)
+
+
+def _mutated_mesh(vertices: np.ndarray, triangles: np.ndarray, seed: int, rng: random.Random) -> bytes:
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         row = rng.randrange(len(vertices)) if len(vertices) else 0
         how = rng.randrange(15)
