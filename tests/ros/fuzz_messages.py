@@ -111,7 +111,7 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
     warnings.simplefilter("error")
     try:
         for seed in range(first_seed, first_seed + count):
-            if seed % 50 == first_seed % 50:
+            if seed % 10 == first_seed % 10:
                 # Back to a scene in which both a pattern and a body can be taken.
                 node.send("body", good_body)
                 node.send("pattern", good_pattern)
