@@ -128,7 +128,8 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
                 f"body message: {triangle_count} triangles are more than max_triangles = {max_triangles}; "
                 "send a coarser mesh or raise the parameter"
             )
-        indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]").reshape(-1, 3)
+        indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]")
+        triangles: npt.NDArray[np.uint32] = indices.astype(np.uint32, copy=False).reshape(-1, 3)
         vertex_count = reader.uint32("count of vertices")
         if max_triangles is not None and vertex_count > 3 * max_triangles:
             raise BodyError(
@@ -139,14 +140,14 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
         reader.end()
     except CdrError as error:
         raise BodyError(str(error)) from None
-    outside = (indices >= vertex_count).any(axis=1)
+    outside = (triangles >= vertex_count).any(axis=1)
     if outside.any():
         worst = int(outside.argmax())
         raise BodyError(
-            f"body message, triangle {worst}: index {int(indices[worst].max())} has no vertex; "
+            f"body message, triangle {worst}: index {int(triangles[worst].max())} has no vertex; "
             f"send indices from 0 to {vertex_count - 1}, the last vertex"
         )
-    return vertices.astype(np.float64), indices.astype(np.int32)
+    return vertices.astype(np.float64), triangles.astype(np.int32)
 
 
 class MarkerEncoder:
