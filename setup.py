@@ -27,8 +27,8 @@ TEST = [
     # The suite as such.
     "hypothesis>=6.100",
     "pytest>=8.0",
-    # Independent truths: other people's readers of logs, distances and intersections, curves, and what trimesh needs.
-    "ipctk>=1.3",
+    # Independent truths: other people's readers of logs, another DDS stack, curves, and what trimesh needs.
+    "cyclonedds>=11.0; platform_machine == 'x86_64'",  # has wheels for nothing else
     "mcap-ros2-support>=0.5",
     "rosbags>=0.10",
     "rtree>=1.0",
@@ -55,12 +55,12 @@ setup(
     packages=["cloth_core", "cloth_sim_ros"],
     package_data={
         "cloth_core": ["py.typed", "data/**/*"],
-        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*"],
+        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*", "security/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *((f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*")) for folder in ("launch", "config", "rviz")),
+        *((f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*")) for folder in ("launch", "config", "rviz", "security")),
     ],
     zip_safe=False,
     install_requires=RUNTIME,

@@ -3,8 +3,9 @@
     python tests/ros/fuzz_messages.py --count 10000
 
 For each message: the callback raises nothing, the builder is done within a time, the message is either taken or refused
-with one line that does not call itself a defect, a refused one leaves the scene as it was, and no file appears. At the
-end a good scene is still taken. Memory is printed after each tenth. Exit code 0, or 1 with each seed that failed.
+with one line that does not call itself a defect, a refused one leaves the scene as it was, no file appears, no path of
+a message is opened, nothing is connected to and no process started. At the end a good scene is still taken. Memory is
+printed after each tenth. Exit code 0, or 1 with each seed that failed.
 """
 
 from __future__ import annotations
@@ -94,6 +95,25 @@ class NodeUnderFuzz:
         rclpy.try_shutdown()
 
 
+class Reach:
+    """What this process opens, connects to and starts, as Python's audit events tell."""
+
+    SUSPICIOUS = ("etc/passwd", "/dev/zero", "localhost", "://", "__proto__", "${HOME}")
+
+    def __init__(self) -> None:
+        self.found: list[str] = []
+        self.watching = False
+        sys.addaudithook(self._hear)
+
+    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if not self.watching:
+            return
+        started = event in ("socket.connect", "subprocess.Popen", "os.system", "os.exec", "urllib.Request", "os.fork")
+        opened = event == "open" and any(part in str(arguments[0]) for part in self.SUSPICIOUS)
+        if started or opened:
+            self.found.append(f"{event}: {str(arguments)[:200]}")
+
+
 def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzResult:
     """Sends `count` messages, half patterns, half bodies, mixed."""
     from message_mutations import mutated_body, mutated_pattern, real_bodies, real_patterns
@@ -107,6 +127,7 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
     node = NodeUnderFuzz(directory)
     result = FuzzResult()
     files = set(directory.rglob("*"))
+    reach = Reach()
     # What Python only warns of is a line on standard error that nobody asked for.
     warnings.simplefilter("error")
     node.node.inform = lambda line: None  # type: ignore[method-assign]
@@ -121,7 +142,9 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
             before = node.scene()
             began = time.monotonic()
             try:
+                reach.watching = True
                 node.send(topic, data)
+                reach.watching = False
             except Exception as error:
                 result.failures.append(f"seed {seed} ({topic}): {type(error).__name__}: {error}")
                 if isinstance(error, TimeoutError):
@@ -141,6 +164,7 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
         if node.lines:
             result.failures.append(f"the good scene at the end: {node.lines}")
         new = [path for path in directory.rglob("*") if path not in files and "ros" not in path.parts]
+        result.failures += reach.found
         if new:
             result.failures.append(f"files appeared: {new}")
     finally:
