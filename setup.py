@@ -60,7 +60,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *((f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*")) for folder in ("launch", "config", "rviz", "security")),
+        *(
+            (f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*"))
+            for folder in ("launch", "config", "rviz", "security")
+        ),
     ],
     zip_safe=False,
     install_requires=RUNTIME,
