@@ -22,7 +22,7 @@ from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
-from cloth_core.step import run_steps
+from cloth_core.step import Workspace, run_steps
 from cloth_core.term_cost import term_costs
 
 __all__ = ["Progress", "Simulation"]
@@ -39,6 +39,9 @@ _CHECK_INTERVAL = 1.0 / 60.0
 # Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH, _MOST_REACH = 0.001, 0.006
+# Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
+_SEWING_INTERVAL = 0.05
+_STALLED = 0.9
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -91,6 +94,8 @@ class Simulation:
         self._warnings: list[str] = []
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
+        self._widest_gap = math.inf
+        self._next_sewing = 0.0
         self._speed = 0.0
         garment = scene.garment
         self._use(Model(scene, sewing=bool(garment.seams)), garment.start, np.zeros_like(garment.start))
@@ -194,7 +199,7 @@ class Simulation:
         while done < count:
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
             did = run_steps(
-                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._contacts, dt,
+                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, dt,
                 count - done, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
@@ -227,7 +232,7 @@ class Simulation:
         self._x = model.gather(unsewn_x, weight)
         self._v = model.gather(unsewn_v, weight)
         self._v[model.inverse_mass == 0.0] = 0.0
-        self._force = np.zeros_like(self._x)
+        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         self._contact_settings = model.contact_settings()
         self._stable = model.stable_step(self._x, self._air_drag())
@@ -286,16 +291,21 @@ class Simulation:
         )
 
     def _sew(self) -> None:
-        """Merge the seams once all are closed, or the time for sewing is over."""
+        """Merge the seams once all are closed, or no longer get narrower, or the time for sewing is over."""
         settings = self.scene.settings
-        if self.time < settings.closing_time:
+        if self.time < max(settings.closing_time, self._next_sewing):
             return
+        self._next_sewing = self.time + _SEWING_INTERVAL
         gaps = seam_gaps(self.scene.garment, self.positions)
+        widest, before = max(gaps.values()), self._widest_gap
+        self._widest_gap = widest
         late = self.time >= settings.sewing_time
-        if max(gaps.values()) > settings.seam_tolerance and not late:
+        if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return
-        # A tight garment pulls its last millimetres open again; merging the points closes them.
-        model = self._merged(gaps, settings.merge_distance if late else settings.seam_tolerance)
+        # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
+        model = self._merged(gaps, settings.merge_distance)
+        if (model.number != self.scene.garment.merged_indices).any() and not late:
+            return
         if self._crossings(model) > self._crossings(self.model):
             if not late:
                 return
