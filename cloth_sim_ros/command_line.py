@@ -325,8 +325,11 @@ def _recorder(
     """A new log in place of the one that may lie there."""
     if path is None:
         return None
+    from cloth_sim_ros.log_writer import is_being_written
     from cloth_sim_ros.run_recorder import RunRecorder
 
+    if is_being_written(path):
+        raise ClothError(f"log {path}: another process is recording into it; choose another name")
     path.unlink(missing_ok=True)
     scene = simulation.scene
     texts = [pattern.source for pattern in patterns]

@@ -37,7 +37,7 @@ from cloth_core.errors import ClothError
 
 __all__ = ["DAMAGE", "Recovery", "end_log", "recover_log"]
 
-DAMAGE = (McapError, ZstdError, ValueError, KeyError, struct.error, RuntimeError)
+DAMAGE = (McapError, ZstdError, ValueError, KeyError, struct.error, RuntimeError, MemoryError, OverflowError)
 """What the mcap library and its decompressors raise on bytes that are not what they should be."""
 
 _RECORD_HEAD = struct.Struct("<BQ")

@@ -1,6 +1,7 @@
 """Writes MCAP logs with the `ros2` profile, which `ros2 bag`, Foxglove and other readers open as they are."""
 
 import errno
+import fcntl
 import os
 import threading
 from pathlib import Path
@@ -13,7 +14,7 @@ from cloth_sim_ros.log_repair import end_log
 from cloth_sim_ros.messages import message_definition
 from cloth_sim_ros.topics import DEFAULT_NODE_NAME, Topic
 
-__all__ = ["LogError", "LogExistsError", "LogWriter"]
+__all__ = ["LogError", "LogExistsError", "LogWriter", "is_being_written"]
 
 CHUNK_SIZE = 1024 * 1024
 """Bytes of messages that are compressed together."""
@@ -27,6 +28,18 @@ class LogError(ClothError):
 
 class LogExistsError(LogError):
     """A file of that name is there already."""
+
+
+def is_being_written(path: str | os.PathLike[str]) -> bool:
+    """Whether a `LogWriter` of this machine, in whichever process, has the file open."""
+    try:
+        with open(path, "rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # there is none, or its file system knows no locks
+        return False
+    return False
 
 
 class LogWriter:
@@ -172,6 +185,10 @@ class _UnbufferedFile:
 
     def __init__(self, path: Path) -> None:
         self.file = open(path, "xb+", buffering=0)
+        try:
+            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pass  # a file system without locks; creation was exclusive all the same
 
     def write(self, data: bytes) -> None:
         missing = memoryview(data)
