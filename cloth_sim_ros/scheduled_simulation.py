@@ -104,7 +104,7 @@ def repeat(
     Args:
         simulation: at its start
         schedule: of the other one
-        look: called at the start and after each tick; returns true once nothing more is of interest
+        look: called at the start, after each tick and after each motion; returns true once nothing more is of interest
 
     Returns:
         the first motion that cannot begin where it began, with the steps done by then, or None
@@ -128,7 +128,7 @@ def repeat(
             # So it did when it was recorded; what was sent then is the last good state, as here.
             look(simulation)
             return None
-        if seen_enough:
+        if seen_enough or look(simulation):
             return None
     return None
 
