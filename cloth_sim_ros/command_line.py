@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cloth_core.pattern import Pattern
     from cloth_core.report import Report
     from cloth_core.simulation import Simulation
+    from cloth_sim_ros.log_writer import LogError
     from cloth_sim_ros.run_recorder import RunRecorder
 
 __all__ = ["main"]
@@ -128,14 +129,17 @@ def drape(
         try:
             recorder = _recorder(record, loaded, simulation, parameters)
             with Interruption() as interruption:
-                result = _settle(simulation, recorder, display, interruption)
+                result, lost = _settle(simulation, recorder, display, interruption)
                 _write_results(simulation, result, display, output=output, picture=picture, size=size, report=report)
         except ClothError as error:
             raise FailedRun(str(error)) from error
     _warn(result.warnings)
     print_report(result)
     for path in outputs:
-        click.echo(f"wrote {path}")
+        if path != record or lost is None:
+            click.echo(f"wrote {path}")
+    if lost is not None:
+        raise FailedRun(f"recording stopped: {lost}")
     if result.open_seams:
         gaps = ", ".join(f"{name} ({1000 * gap:.1f} mm)" for name, gap in result.open_seams.items())
         raise FailedRun(f"seams still open: {gaps}; check that the panels can reach each other around the body")
@@ -338,27 +342,36 @@ def _recorder(
 
 def _settle(
     simulation: Simulation, recorder: RunRecorder | None, display: ProgressDisplay, interruption: Interruption
-) -> Report:
-    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile."""
+) -> tuple[Report, LogError | None]:
+    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile; with what ended the recording, if so."""
+    from cloth_sim_ros.log_writer import LogError
+
+    lost: LogError | None = None
+
+    def record(write: Callable[[RunRecorder], None]) -> None:
+        nonlocal lost
+        if recorder is None or lost is not None:
+            return
+        try:
+            write(recorder)
+        except LogError as error:  # a full disk is no reason to lose the drape too
+            lost = error
+            _warn([f"recording stopped: {error}"])
 
     def on_tick(simulation: Simulation) -> bool:
-        if recorder is not None:
-            recorder.follow(simulation)
+        record(lambda recorder: recorder.follow(simulation))
         display.show(simulation.progress)
         return interruption.asked
 
     display.step("sewing and draping")
     try:
-        if recorder is not None:
-            recorder.follow(simulation)
+        record(lambda recorder: recorder.follow(simulation))
         result = simulation.settle(on_tick)
         display.step("measuring the result")
-        if recorder is not None:
-            recorder.finish(simulation, result)
+        record(lambda recorder: recorder.finish(simulation, result))
     finally:
-        if recorder is not None:
-            recorder.close()
-    return result
+        record(lambda recorder: recorder.close())
+    return result, lost
 
 
 def _write_results(

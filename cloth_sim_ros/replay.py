@@ -24,7 +24,7 @@ from cloth_sim_ros.log_writer import LogError
 from cloth_sim_ros.messages import NANOSECONDS, decode_marker, decode_mesh, decode_string
 from cloth_sim_ros.run_identity import FORMAT, checksum, versions
 from cloth_sim_ros.run_messages import RunMessages
-from cloth_sim_ros.scheduled_simulation import Motion, repeat, schedule_from
+from cloth_sim_ros.scheduled_simulation import Motion, OutsideAct, repeat, schedule_from
 from cloth_sim_ros.topics import BODY, BODY_MARKER, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE, Topic
 
 __all__ = ["ReplayDifference", "Verification", "replay_log", "verify_log"]
@@ -233,7 +233,13 @@ def _verify_run(log: LogReader, run: _LoggedRun, on_tick: OnTick | None) -> _Com
             on_tick(simulation)
         return comparison.look(simulation)
 
-    out_of_step = repeat(simulation, _schedule(log, run), look)
+    try:
+        out_of_step = repeat(simulation, _schedule(log, run), look)
+    except OutsideAct as act:
+        raise LogError(
+            f"log {log.path}, run {run.number}: the first {comparison.frames} frames are identical; then {act}; "
+            "it can be verified no further"
+        ) from None
     if not comparison.done:
         comparison.miss(simulation, out_of_step)
     return comparison

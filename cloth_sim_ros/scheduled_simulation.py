@@ -11,14 +11,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from cloth_core.errors import SimulationError
+from cloth_core.errors import ClothError, SimulationError
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.simulation import OnTick, Simulation
 
-__all__ = ["Motion", "ScheduledSimulation", "repeat", "schedule_change", "schedule_from"]
+__all__ = ["Motion", "OutsideAct", "ScheduledSimulation", "repeat", "schedule_change", "schedule_from"]
 
-TICK, ADVANCE, SETTLE = "tick", "advance", "settle"
+TICK, ADVANCE, SETTLE, OUTSIDE = "tick", "advance", "settle", "outside"
+
+
+class OutsideAct(ClothError):
+    """From here on a simulation cannot be repeated, since something acted on it that its schedule does not hold."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +30,15 @@ class Motion:
     """Calls of one method of a simulation. It went on until the next motion began."""
 
     kind: str
-    """tick, advance or settle."""
+    """tick, advance or settle; or outside: something acted on the simulation that cannot be repeated."""
     steps: int
     """Time steps that had been done before."""
     duration: float = 0.0
     """Of each call of `advance` [s]."""
     count: int = 1
     """Calls of `advance` one after the other; ticks and settle count as one."""
+    what: str = ""
+    """What acted from outside."""
 
 
 class ScheduledSimulation(Simulation):
@@ -73,6 +79,11 @@ class ScheduledSimulation(Simulation):
         finally:
             self._within_motion = False
 
+    def acted_upon(self, what: str) -> None:
+        """Notes that something is about to act on the simulation of which the schedule knows no more than its name."""
+        if not any(motion.kind == OUTSIDE for motion in self.schedule):
+            self.schedule = (*self.schedule, Motion(OUTSIDE, self.steps, what=what))
+
     def _watched(self, on_tick: OnTick | None) -> OnTick | None:
         """The callback, and whether it broke the motion off."""
         self._broken_off = False
@@ -87,6 +98,8 @@ class ScheduledSimulation(Simulation):
 
     def _note(self, motion: Motion) -> None:
         last = self.schedule[-1] if self.schedule else None
+        if last is not None and last.kind == OUTSIDE:
+            return  # what follows cannot be repeated anyway
         if last is None or (last.kind, last.duration) != (motion.kind, motion.duration) or motion.kind == SETTLE:
             self.schedule = (*self.schedule, motion)
         elif motion.kind == ADVANCE:
@@ -108,12 +121,19 @@ def repeat(
 
     Returns:
         the first motion that cannot begin where it began, with the steps done by then, or None
+
+    Raises:
+        OutsideAct: the schedule goes no further.
     """
     if look(simulation):
         return None
     for number, motion in enumerate(schedule):
         if simulation.steps != motion.steps:
             return motion, simulation.steps
+        if motion.kind == OUTSIDE:
+            raise OutsideAct(
+                f"{motion.what} acted on the cloth at {simulation.time:.6g} s, which the log does not hold"
+            )
         last_step = schedule[number + 1].steps if number + 1 < len(schedule) else None
         seen_enough = False
 
@@ -176,7 +196,9 @@ def schedule_from(changes: Sequence[dict[str, Any]]) -> tuple[Motion, ...]:
 
 
 def _motion(entry: dict[str, Any]) -> Motion:
-    motion = Motion(str(entry["kind"]), int(entry["steps"]), float(entry["duration"]), int(entry["count"]))
-    if motion.kind not in (TICK, ADVANCE, SETTLE):
+    motion = Motion(
+        str(entry["kind"]), int(entry["steps"]), float(entry["duration"]), int(entry["count"]), str(entry["what"])
+    )
+    if motion.kind not in (TICK, ADVANCE, SETTLE, OUTSIDE):
         raise ValueError(f"motion '{motion.kind}' is not known")
     return motion

@@ -1,5 +1,6 @@
 """What becomes of a recording when its process is killed, its disk is full, its place is gone or its name is taken."""
 
+import json
 import os
 import random
 import re
@@ -18,8 +19,6 @@ from test_worker import Bench
 
 from cloth_core.body import Body
 from cloth_core.errors import ClothError
-from cloth_core.pattern import Pattern
-from cloth_core.scene import Scene
 from cloth_sim_ros.command_line import main
 from cloth_sim_ros.log_check import check_log
 from cloth_sim_ros.log_reader import LogReader
@@ -28,7 +27,6 @@ from cloth_sim_ros.log_writer import LogError, LogWriter
 from cloth_sim_ros.messages import encode_string
 from cloth_sim_ros.output_files import claim_path
 from cloth_sim_ros.run_recorder import RunRecorder
-from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 from cloth_sim_ros.topics import DIAGNOSTICS, GARMENT, REPORT
 
 
@@ -340,16 +338,30 @@ def test_a_link_that_leads_nowhere_is_not_followed(tmp_path, monkeypatch):
     assert not (tmp_path / "elsewhere.mcap").exists()
 
 
-def test_a_failed_recording_of_the_command_line_says_why(tmp_path):
-    """The file is removed while it is written."""
-    pattern = Pattern.from_json(handkerchief())
-    scene = Scene.build(pattern, quality="draft")
-    recorder = RunRecorder(tmp_path / "run.mcap", [pattern.source], None, {}, patterns=[pattern], scene=scene)
-    (tmp_path / "run.mcap").unlink()
-    simulation = ScheduledSimulation(scene)
-    with pytest.raises(LogError, match="the file was removed"):
-        simulation.advance(60.0, lambda simulation: recorder.follow(simulation))
-    recorder.close()
+def test_a_drape_goes_on_without_its_recording(tmp_path, capsys, monkeypatch):
+    """The log is removed while it is written; the garment is there all the same, and the exit code says that all is not
+    well.
+    """
+    log, report = tmp_path / "run.mcap", tmp_path / "report.json"
+    frame = RunRecorder.frame
+
+    def frame_and_removal(self, *arguments):
+        frame(self, *arguments)
+        log.unlink(missing_ok=True)
+
+    monkeypatch.setattr(RunRecorder, "frame", frame_and_removal)
+    pattern = tmp_path / "pattern.json"
+    pattern.write_text(handkerchief())
+    command = ["drape", str(pattern), "--body", "young", "--quality", "draft", "--max-time", "0.05"]
+    monkeypatch.setattr("cloth_sim_ros.log_writer.FLUSH_INTERVAL", 0.001)
+    assert main([*command, "--record", str(log), "--report", str(report)]) == 1
+    said = capsys.readouterr()
+    warnings = [line for line in said.err.splitlines() if "recording stopped" in line]
+    assert len(warnings) == 2  # when it happened, and as the reason for the exit code
+    assert re.fullmatch(r"cloth-sim: error: recording stopped: log .*: the file was removed .*", warnings[1])
+    assert json.loads(report.read_text())["simulated_time"] >= 0.05
+    assert f"wrote {report}" in said.out
+    assert f"wrote {log}" not in said.out
 
 
 def test_a_log_that_is_being_written_is_not_replaced(tmp_path, capsys):

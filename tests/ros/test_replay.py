@@ -149,6 +149,28 @@ def test_a_run_that_ends_without_rest_is_repeated_with_its_report(tmp_path):
         verify_log(rewritten(path, tmp_path / "changed.mcap", edit))
 
 
+def test_what_acts_from_outside_ends_the_verification_and_is_named(tmp_path):
+    pattern = Pattern.from_json(handkerchief(), "handkerchief")
+    scene = Scene.build(pattern, quality="draft")
+    simulation = ScheduledSimulation(scene)
+    path = tmp_path / "run.mcap"
+
+    def act(simulation):
+        recorder.follow(simulation)
+        if simulation.time > 0.2:
+            simulation.acted_upon("a gust")
+            simulation._v[:, 0] += 1.0
+
+    with RunRecorder(path, [pattern.source], None, {}, patterns=[pattern], scene=scene) as recorder:
+        recorder.follow(simulation)
+        simulation.advance(0.4, act)
+    with pytest.raises(
+        LogError, match=r"the first [67] frames are identical; then a gust acted on the cloth at 0\.2\d*"
+    ):
+        verify_log(path)
+    assert [motion.kind for motion in simulation.schedule] == ["advance", "outside"]
+
+
 def rewritten(source, target, change):
     """A log that is sound as a file, with another content: `change` maps a topic's name, a number and its bytes."""
     topics = {}
