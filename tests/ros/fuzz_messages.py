@@ -114,8 +114,8 @@ class Reach:
             self.found.append(f"{event}: {str(arguments)[:200]}")
 
 
-def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzResult:
-    """Sends `count` messages, half patterns, half bodies, mixed."""
+def fuzz(count: int, first_seed: int, directory: Path, say: Any = None, passes: int = 1) -> FuzzResult:
+    """Sends `count` messages, half patterns, half bodies, mixed; all of them `passes` times."""
     from message_mutations import mutated_body, mutated_pattern, real_bodies, real_patterns
     from small_scenes import handkerchief
 
@@ -132,7 +132,7 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
     warnings.simplefilter("error")
     node.node.inform = lambda line: None  # type: ignore[method-assign]
     try:
-        for seed in range(first_seed, first_seed + count):
+        for done, seed in enumerate(list(range(first_seed, first_seed + count)) * passes, 1):
             if seed % 10 == first_seed % 10:
                 # Back to a scene in which both a pattern and a body can be taken.
                 node.send("body", good_body)
@@ -154,8 +154,7 @@ def fuzz(count: int, first_seed: int, directory: Path, say: Any = None) -> FuzzR
             _judge(result, seed, topic, node, before)
             if seed % 20 == 0 and not node.lines and node.worker.describe()["scene"]:
                 node.worker.step()
-            done = seed - first_seed + 1
-            if done % max(count // 10, 1) == 0:
+            if done % max(count * passes // 10, 1) == 0:
                 result.memory.append(resident_memory())
                 if say is not None:
                     say(f"{done}: {result.taken} taken, {result.refused} refused, {result.memory[-1]:.0f} MB")
@@ -201,16 +200,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0, help="the first one")
+    parser.add_argument("--passes", type=int, default=1, help="the same messages so often: what grows is a leak")
     options = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = str(random.randrange(1, 100))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as directory:
-        result = fuzz(options.count, options.seed, Path(directory), lambda line: print(line, flush=True))
+        result = fuzz(
+            options.count, options.seed, Path(directory), lambda line: print(line, flush=True), options.passes
+        )
     for failure in result.failures:
         print(failure)
     print(
-        f"{options.count} messages in {time.monotonic() - began:.0f} s: {result.taken} taken, {result.refused} refused "
+        f"{options.count} messages, {options.passes} x, in {time.monotonic() - began:.0f} s: {result.taken} taken, "
+        f"{result.refused} refused "
         f"for {len(result.reasons)} reasons, {len(result.failures)} failures; slowest {result.slowest[0]:.2f} s "
         f"(seed {result.slowest[1]}); memory [MB] {[round(m) for m in result.memory]}"
     )
