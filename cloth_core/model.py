@@ -14,8 +14,8 @@ from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.kernel import kernel
 from cloth_core.scene import Scene
-from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.self_contact import SelfContact
+from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
@@ -204,7 +204,9 @@ class Model:
                 )  # fmt: skip
                 bends[:] = forces.T
             if self.seam_pull is not None:
-                _pair_laplacian(u, self.seam_pull.pairs, np.full(len(self.seam_pull.pairs), self.seam_pull.stiffness), seams)
+                _pair_laplacian(
+                    u, self.seam_pull.pairs, np.full(len(self.seam_pull.pairs), self.seam_pull.stiffness), seams
+                )
                 _pair_laplacian(u, self.seam_pull.pairs, self.seam_pull.damping, seam_damping)
 
         def stiffness(u: Floats) -> Floats:

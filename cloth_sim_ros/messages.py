@@ -131,15 +131,15 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
         indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]")
         triangles: npt.NDArray[np.uint32] = indices.astype(np.uint32, copy=False).reshape(-1, 3)
         vertex_count = reader.uint32("count of vertices")
-        if max_triangles is not None and vertex_count > 3 * max_triangles:
-            raise BodyError(
-                f"body message: {vertex_count} vertices are more than max_triangles = {max_triangles} can have; "
-                "leave out the unused ones or raise the parameter"
-            )
         vertices = reader.array("<f8", 3 * vertex_count, f"vertices[{vertex_count}]").reshape(-1, 3)
         reader.end()
     except CdrError as error:
         raise BodyError(str(error)) from None
+    if max_triangles is not None and vertex_count > 3 * max_triangles:
+        raise BodyError(
+            f"body message: {vertex_count} vertices are more than max_triangles = {max_triangles} can have; "
+            "leave out the unused ones or raise the parameter"
+        )
     outside = (triangles >= vertex_count).any(axis=1)
     if outside.any():
         worst = int(outside.argmax())
