@@ -19,6 +19,7 @@ from cloth_core.body import Body
 from cloth_core.pattern import Pattern
 from cloth_core.quality import Settings
 from cloth_core.scene import Scene
+from cloth_sim_ros import log_writer
 from cloth_sim_ros.command_line import main
 from cloth_sim_ros.log_check import check_log
 from cloth_sim_ros.log_reader import LogReader
@@ -40,9 +41,11 @@ def drape(tmp_path_factory):
     scene = Scene.build(pattern, Body.from_arrays(BOX_VERTICES, BOX_TRIANGLES, "box"), quality="draft")
     simulation = ScheduledSimulation(scene)
     texts = [pattern.source]
-    with RunRecorder(path, texts, scene.body, {"fabric": "x"}, patterns=[pattern], scene=scene) as recorder:
-        recorder.follow(simulation)
-        recorder.finish(simulation, simulation.settle(recorder.follow))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(log_writer, "CHUNK_SIZE", 100_000)  # so that a small log has several
+        with RunRecorder(path, texts, scene.body, {"fabric": "x"}, patterns=[pattern], scene=scene) as recorder:
+            recorder.follow(simulation)
+            recorder.finish(simulation, simulation.settle(recorder.follow))
     return path
 
 
@@ -72,7 +75,7 @@ def session(tmp_path_factory):
     bench.wait_for_state("paused")
     bench.worker.start()
     bench.wait_until_moved()
-    bench.give(handkerchief(0.3))
+    bench.give(handkerchief(0.3), box=False)  # the body stays
     bench.worker.drape()
     bench.wait_for_report(2)
     bench.worker.record(False)
