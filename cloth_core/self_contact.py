@@ -84,8 +84,8 @@ class SelfContact:
         found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
         if found > most:
             raise SceneError(
-                f"garment: too much of it lies at the same place, more than {most} pairs of triangles; place its panels "
-                "apart from each other"
+                f"garment: too much of it lies at the same place, more than {most} pairs of triangles; place its "
+                "panels apart from each other"
             )
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
