@@ -29,6 +29,7 @@ TEST = [
     "pytest>=8.0",
     # Independent truths: other people's readers of logs, another DDS stack, curves, and what trimesh needs.
     "cyclonedds>=11.0; platform_machine == 'x86_64'",  # has wheels for nothing else
+    "ipctk>=1.3",  # in test_intersections.py alone
     "mcap-ros2-support>=0.5",
     "rosbags>=0.10",
     "rtree>=1.0",
