@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 MOST_TRIANGLES = 2_000_000
+LARGEST_COORDINATE = 1e6  # [m]; beyond it products of coordinates lose what triangles are made of
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,12 @@ class Body:
         if not np.isfinite(points).all():
             bad = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
             raise BodyError(f"body '{name}', vertex {bad}: {points[bad].tolist()} is not finite; mend the mesh")
+        if np.abs(points).max() > LARGEST_COORDINATE:
+            bad = int(np.abs(points).max(axis=1).argmax())
+            raise BodyError(
+                f"body '{name}', vertex {bad}: {points[bad].tolist()} lies more than {LARGEST_COORDINATE:g} m from the "
+                "origin; give metres"
+            )
         out = (raw < 0) | (raw >= len(points))
         if out.any():
             bad = int(np.flatnonzero(out.any(axis=1))[0])

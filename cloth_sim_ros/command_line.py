@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cloth_core.pattern import Pattern
     from cloth_core.report import Report
     from cloth_core.simulation import Simulation
+    from cloth_sim_ros.log_writer import LogError
     from cloth_sim_ros.run_recorder import RunRecorder
 
 __all__ = ["main"]
@@ -134,14 +135,17 @@ def drape(
         try:
             recorder = _recorder(record, loaded, simulation, parameters)
             with Interruption() as interruption:
-                result = _settle(simulation, recorder, display, interruption, gate=gate)
+                result, lost = _settle(simulation, recorder, display, interruption, gate=gate)
                 _write_results(simulation, result, display, output=output, picture=picture, size=size, report=report)
         except ClothError as error:
             raise FailedRun(str(error)) from error
     _warn(result.warnings)
     print_report(result)
     for path in outputs:
-        click.echo(f"wrote {path}")
+        if path != record or lost is None:
+            click.echo(f"wrote {path}")
+    if lost is not None:
+        raise FailedRun(f"recording stopped: {lost}")
     if result.gate is not None and not result.gate["passed"]:
         raise FailedRun(f"{result.garment}: the gate is not passed: {'; '.join(result.gate['failed'])}")
     if result.open_seams:
@@ -225,6 +229,58 @@ def play(log: str, rate: float, loop: bool) -> None:
         play_log(log, rate=rate, loop=loop, progress=functools.partial(display.share, "{done} s of {total} s played"))
 
 
+@cli.command()
+@click.argument("log", metavar="RUN.mcap")
+@click.option("--verify", is_flag=True, help="Checks each byte of the log and compares all frames and reports with it.")
+def replay(log: str, verify: bool) -> None:
+    """Simulates the runs of the log RUN.mcap again, from what is in the log alone.
+
+    Exit code with --verify. 0: each frame and report is identical, bit by bit. 1: one is not; the error says which
+    frame and particle differ first. 2: the log is damaged; the error says where.
+    """
+    from cloth_sim_ros.replay import ReplayDifference, replay_log, verify_log
+    from cloth_sim_ros.run_tables import print_report
+
+    with ProgressDisplay() as display:
+        display.step(f"simulating {log} again")
+
+        def on_tick(simulation: Simulation) -> None:
+            display.show(simulation.progress)
+
+        if not verify:
+            reports = replay_log(log, on_tick)
+        else:
+            try:
+                found = verify_log(log, on_tick)
+            except ReplayDifference as error:
+                raise FailedRun(str(error)) from None
+    if not verify:
+        for report in reports:
+            print_report(report)
+        return
+    click.echo(
+        f"{log}: identical: {found.frames} frames with {found.particles} positions and {found.reports} reports of "
+        f"{found.runs} run{'s' * (found.runs > 1)}, {found.simulated_time:.3f} s simulated"
+        f"{f', state_sha256 {found.state_sha256}' if found.state_sha256 else ''}"
+    )
+
+
+@cli.command()
+@click.argument("broken", metavar="BROKEN.mcap")
+@click.option("--output", "-o", type=OutputFile([".mcap"]), required=True, help="The log that is made of it.")
+def recover(broken: str, output: Path) -> None:
+    """Saves all whole chunks of BROKEN.mcap, the log of a process that was killed: all but its last second at most.
+
+    BROKEN.mcap is only read.
+    """
+    from cloth_sim_ros.log_repair import recover_log
+
+    _check_inputs_are_kept((broken,), (output,))
+    found = recover_log(broken, output)
+    state = "it was whole" if found.was_whole else f"{found.lost_bytes} bytes behind or between them are lost"
+    click.echo(f"wrote {output}: {found.messages} messages of {found.duration:.3f} s in {found.chunks} chunks; {state}")
+
+
 # Parts of commands
 
 
@@ -258,8 +314,8 @@ def _prepare(
     from cloth_core.fabric import Fabric
     from cloth_core.pattern import Pattern
     from cloth_core.scene import Scene
-    from cloth_core.simulation import Simulation
     from cloth_sim_ros.scene_inputs import SceneParameters
+    from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 
     parameters = SceneParameters(
         fabric=fabric, quality=quality or "normal", tolerance=tolerance or 0.0, gravity=gravity, air_drag=air_drag
@@ -272,7 +328,7 @@ def _prepare(
     chosen_body = None if body is None else Body.load(body)
     display.step("preparing the scene (the first run after an installation compiles, which takes longer)")
     scene = Scene.build(patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag)
-    return patterns, Simulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
+    return patterns, ScheduledSimulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
 
 
 def _recorder(
@@ -281,10 +337,15 @@ def _recorder(
     """A new log in place of the one that may lie there."""
     if path is None:
         return None
+    from cloth_sim_ros.log_writer import is_being_written
     from cloth_sim_ros.run_recorder import RunRecorder
 
+    if is_being_written(path):
+        raise ClothError(f"log {path}: another process is recording into it; choose another name")
     path.unlink(missing_ok=True)
-    return RunRecorder(path, [pattern.source for pattern in patterns], simulation.scene.body, parameters)
+    scene = simulation.scene
+    texts = [pattern.source for pattern in patterns]
+    return RunRecorder(path, texts, scene.body, parameters, patterns=patterns, scene=scene)
 
 
 def _settle(
@@ -294,19 +355,33 @@ def _settle(
     interruption: Interruption,
     *,
     gate: bool,
-) -> Report:
-    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile; judges the result if asked to."""
+) -> tuple[Report, LogError | None]:
+    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile; judges the result if asked to.
+
+    The second value is what ended the recording early, if anything did.
+    """
+    from cloth_sim_ros.log_writer import LogError
+
+    lost: LogError | None = None
+
+    def record(write: Callable[[RunRecorder], None]) -> None:
+        nonlocal lost
+        if recorder is None or lost is not None:
+            return
+        try:
+            write(recorder)
+        except LogError as error:  # a full disk is no reason to lose the drape too
+            lost = error
+            _warn([f"recording stopped: {error}"])
 
     def on_tick(simulation: Simulation) -> bool:
-        if recorder is not None:
-            recorder.follow(simulation)
+        record(lambda recorder: recorder.follow(simulation))
         display.show(simulation.progress)
         return interruption.asked
 
     display.step("sewing and draping")
     try:
-        if recorder is not None:
-            recorder.follow(simulation)
+        record(lambda recorder: recorder.follow(simulation))
         failure = None
         try:
             result = simulation.settle(on_tick)
@@ -318,12 +393,10 @@ def _settle(
         display.step("measuring the result")
         if gate:
             result = _judged(simulation, result, failure)
-        if recorder is not None:
-            recorder.finish(simulation, result)
+        record(lambda recorder: recorder.finish(simulation, result))
     finally:
-        if recorder is not None:
-            recorder.close()
-    return result
+        record(lambda recorder: recorder.close())
+    return result, lost
 
 
 def _judged(simulation: Simulation, result: Report, failure: str | None) -> Report:

@@ -3,7 +3,7 @@
 from fractions import Fraction
 
 import igl.predicates
-import ipctk
+import naive_geometry
 import numpy as np
 import pytest
 import trimesh
@@ -58,10 +58,10 @@ def random_mesh(rng: np.random.Generator, vertices: int, count: int) -> tuple[np
 def test_crossings_of_random_meshes_are_those_of_ipctk(seed):
     rng = np.random.default_rng(seed)
     one, other = random_mesh(rng, 25, 30), random_mesh(rng, 20, 25)
-    expected = naive(*one, *other, ipctk.is_edge_intersecting_triangle)
+    expected = naive(*one, *other, naive_geometry.is_edge_intersecting_triangle)
     assert len(expected) > 10
     assert as_list(crossing_edges(*one, *other)) == expected
-    expected = naive(*one, *one, ipctk.is_edge_intersecting_triangle, same=True)
+    expected = naive(*one, *one, naive_geometry.is_edge_intersecting_triangle, same=True)
     assert len(expected) > 10
     assert as_list(self_crossing_edges(*one)) == expected
 
