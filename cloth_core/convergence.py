@@ -20,6 +20,8 @@ from cloth_core.errors import ClothError
 __all__ = ["Convergence", "fit_convergence"]
 
 _LOWEST_ORDER, _HIGHEST_ORDER = 0.05, 6.0
+# What counts as convergence.
+_LEAST_ORDER, _MOST_MISFIT = 0.5, 0.15
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,8 @@ class Convergence:
         misfit: RMS of measured minus fitted distance, as a share of the largest distance.
         within_spread: whether the finest two levels differ by no more than drapes differ that are equally right; then
             refinement cannot be told from chance, and the order means little.
-        converges: whether the distances shrink faster than the finest one is uncertain.
+        converges: whether there is an order of at least 0.5 that the distances follow within 15 %, and the finest two
+            levels differ by more than chance; only then is `left` an estimate.
     """
 
     order: float | None
@@ -66,9 +69,9 @@ def fit_convergence(distances: Mapping[tuple[float, float], float], spread: floa
     if not (np.isfinite(pairs).all() and (pairs > 0.0).all() and np.isfinite(measured).all() and (measured >= 0).all()):
         raise ClothError("convergence: a step or distance is not a positive number; leave out the run that failed")
     cleaned = np.sqrt(np.maximum(measured**2 - spread**2, 0.0))
-    finest, second = np.unique(pairs)[:2]
-    last = [m for pair, m in zip(pairs, measured, strict=True) if set(pair) == {finest, second}]
-    within = bool(last) and last[0] <= 1.5 * spread
+    finest, second = (float(step) for step in np.unique(pairs)[:2])
+    last = [float(m) for pair, m in zip(pairs, measured, strict=True) if set(pair) == {finest, second}]
+    within = bool(last and last[0] <= 1.5 * spread)
     scale = float(pairs.max())
     orders = np.linspace(_LOWEST_ORDER, _HIGHEST_ORDER, 1191)
     fits = [_constant_and_misfit(pairs / scale, cleaned, p) for p in orders]
@@ -79,7 +82,8 @@ def fit_convergence(distances: Mapping[tuple[float, float], float], spread: floa
     if constant <= 0.0 or best == 0:
         return Convergence(None, None, None, share, within, False)
     left = constant * (finest / scale) ** order
-    return Convergence(order, constant / scale**order, left, share, within, bool(share < 0.25 and not within))
+    converges = share < _MOST_MISFIT and order >= _LEAST_ORDER and not within
+    return Convergence(order, constant / scale**order, left, share, within, converges)
 
 
 def _constant_and_misfit(

@@ -12,6 +12,7 @@ from datetime import datetime, timezone
 from functools import cache
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -43,16 +44,17 @@ class RunRequest:
 
     def key(self) -> str:
         """Hash of everything that the result depends on, the version of the simulator included."""
+        settings = asdict(self.settings)
+        # What a report quotes has no bearing on the run.
+        for quoted in ("tolerance", "expected_error", "expected_error_source"):
+            settings.pop(quoted, None)
         contents = {
             "scene": _digest(self.recipe),
-            "settings": asdict(self.settings),
+            "settings": settings,
             "seed": self.seed,
             "times": self.times,
             "core": core_version(),
         }
-        # What a report quotes has no bearing on the run.
-        for quoted in ("tolerance", "expected_error", "expected_error_source"):
-            contents["settings"].pop(quoted, None)  # type: ignore[union-attr]
         return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()[:24]
 
     @property
@@ -124,7 +126,7 @@ def stored_run(request: RunRequest, folder: Path) -> MeasuredRun | None:
             triangles, panels = arrays["triangles"], arrays["panels"]
             names = tuple(facts["panel_names"])
             frames = tuple(Drape(x, triangles, panels, names) for x in arrays["frames"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile):
         return None
     return MeasuredRun(facts, frames)
 
@@ -176,7 +178,7 @@ def measure(request: RunRequest, folder: Path) -> MeasuredRun:
         failed, frames = str(error), []
         cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
     facts = {
-        "scene": request.recipe.to_dict(),
+        "scene": json.loads(json.dumps(request.recipe.to_dict())),  # as it comes back from the file
         "scene_name": request.recipe.name,
         "settings": asdict(request.settings),
         "seed": request.seed,

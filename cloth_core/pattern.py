@@ -111,6 +111,11 @@ class Pattern:
     warnings: tuple[str, ...] = ()
     source: str = field(default="", repr=False)
 
+    @property
+    def area(self) -> float:
+        """Of all panels [m^2]."""
+        return sum(abs(panel.area) for panel in self.panels.values())
+
     file_suffix: ClassVar[str] = "_specification"  # that GarmentCode adds to the name of a pattern file
 
     @classmethod

@@ -11,7 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
 
-from cloth_core.errors import ClothError
+from cloth_core.errors import ClothError, SimulationError
 from cloth_core.measured_run import MeasuredRun, RunRequest, measure, stored_run
 
 __all__ = ["run_series"]
@@ -46,7 +46,8 @@ def run_series(
         results in the order of the requests.
 
     Raises:
-        ClothError: stopped, a process died, or the folder cannot be written.
+        SimulationError: stopped, or a process died.
+        ClothError: the folder cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -75,7 +76,7 @@ def run_series(
                     try:
                         finished[key] = future.result()
                     except BrokenProcessPool:
-                        raise ClothError(
+                        raise SimulationError(
                             f"{wanted[key].recipe.name}, spacing {1000 * wanted[key].settings.spacing:g} mm: a process "
                             "of the series died, probably for want of memory; run it again with fewer processes"
                         ) from None
@@ -85,7 +86,7 @@ def run_series(
                         ) from None
                     tell()
                 if should_stop is not None and should_stop():
-                    raise ClothError(
+                    raise SimulationError(
                         f"stopped with {len(finished)} of {len(wanted)} runs done; the same command goes on from there"
                     )
     return [finished[request.key()] for request in requests]

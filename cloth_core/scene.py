@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body import Body
+from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern
 from cloth_core.placement import clear_of_body
-from cloth_core.quality import Settings, settings_for
+from cloth_core.quality import Settings, settings_for, with_expected_error
 
 __all__ = ["Scene"]
 
@@ -60,7 +61,7 @@ class Scene:
         """What a user should know before the run, one line each."""
         settings = self.settings
         lines: tuple[str, ...] = ()
-        if settings.tolerance is not None and (settings.expected_error or math.inf) > settings.tolerance:
+        if settings.tolerance is not None and (settings.expected_error or math.inf) > settings.tolerance * (1.0 + 1e-9):
             lines = (
                 f"tolerance {1000 * settings.tolerance:g} mm: finer than any setting is measured to reach; the finest, "
                 f"{1000 * settings.spacing:g} mm, is taken without a promise",
@@ -97,17 +98,19 @@ class Scene:
         Raises:
             ClothError: anything that does not fit together.
         """
-        chosen = settings_for(quality, tolerance) if settings is None else settings
         one = [patterns] if isinstance(patterns, Pattern) else list(patterns)
         if not one:
             raise SceneError("scene: there is no pattern; give at least one")
+        fabric = Fabric.preset("cotton_poplin") if fabric is None else fabric
+        cloth = Cloth.of(sum(pattern.area for pattern in one), fabric)
+        chosen = settings_for(quality, tolerance, cloth) if settings is None else with_expected_error(settings, cloth)
         garment = Garment.joined([Garment.from_pattern(p, chosen.spacing) for p in one])
         if body is not None:
             _check_scale(garment, body)
             garment = clear_of_body(garment, body, chosen.contact_offset)
         return cls(
             garment=garment,
-            fabric=Fabric.preset("cotton_poplin") if fabric is None else fabric,
+            fabric=fabric,
             body=body,
             pins=np.unique(np.asarray(pins, dtype=np.int32)),
             gravity=(0.0, 0.0, -gravity),

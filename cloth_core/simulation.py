@@ -16,7 +16,6 @@ from cloth_core.contact import ContactState
 from cloth_core.errors import SimulationError
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
-from cloth_core.quality import EXPECTED_ERROR_SOURCE
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
@@ -419,9 +418,7 @@ class Simulation:
             max_penetration=penetration,
             contact_searches=self._searches,
             expected_error=scene.settings.expected_error,
-            expected_error_source=EXPECTED_ERROR_SOURCE
-            if scene.settings.expected_error is not None
-            else "not measured",
+            expected_error_source=scene.settings.expected_error_source,
             warnings=tuple(dict.fromkeys(warnings)),
             state_sha256=self.state_hash(),
         )

@@ -217,6 +217,31 @@ def play(log: str, rate: float, loop: bool) -> None:
         play_log(log, rate=rate, loop=loop, progress=functools.partial(display.share, "{done} s of {total} s played"))
 
 
+@cli.command()
+@_scene_options
+@click.option("--output", "-o", metavar="DIR", required=True, help="Directory of the results; a rerun goes on in it.")
+@click.option(
+    "--spacings",
+    metavar="MM,MM,...",
+    help="Particle spacings to try, at least three; the finest is the reference.  [default: 40,30,25,20,15,12.5,10]",
+)
+@click.option(
+    "--vary",
+    metavar="NAME,...",
+    help="Settings to vary besides the spacing: safety, contact, push, rest, drag; 'none' for none.  [default: all]",
+)
+@click.option("--processes", type=click.IntRange(1, 1024), help="Runs at once.  [default: one for each core]")
+def tradeoff(patterns: tuple[str, ...], **options: Any) -> None:
+    """Measures cost against error over settings for PATTERN, and says which is the cheapest that is good enough.
+
+    Writes tradeoff.json, tradeoff.md and (with matplotlib) tradeoff.png. Can be stopped with Ctrl-C at any time and
+    goes on with the same command. --tolerance is the error that the advice is for.
+    """
+    from cloth_sim_ros.tradeoff_command import run_tradeoff
+
+    run_tradeoff(patterns, **options)
+
+
 # Parts of commands
 
 
@@ -256,11 +281,11 @@ def _prepare(
     parameters = SceneParameters(
         fabric=fabric, quality=quality or "normal", tolerance=tolerance or 0.0, gravity=gravity, air_drag=air_drag
     )
-    settings = parameters.settings()
-    if max_time is not None:
-        settings = replace(settings, max_time=max_time)
     chosen_fabric = Fabric.preset(fabric)
     patterns = [Pattern.load(name) for name in names]
+    settings = parameters.settings(*patterns)
+    if max_time is not None:
+        settings = replace(settings, max_time=max_time)
     chosen_body = None if body is None else Body.load(body)
     display.step("preparing the scene (the first run after an installation compiles, which takes longer)")
     scene = Scene.build(patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag)

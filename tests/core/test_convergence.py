@@ -55,6 +55,13 @@ def test_what_does_not_approach_anything_has_no_order():
     assert not found.converges
 
 
+def test_distances_that_grow_towards_the_finest_are_no_convergence():
+    """Of a T-shirt at 40 to 10 mm: each level differs from the next by as much as the one before, or more."""
+    measured = {(40, 30): 7.5, (40, 20): 8.9, (40, 15): 11.0, (40, 10): 13.2, (30, 20): 4.5}
+    measured |= {(30, 15): 6.2, (30, 10): 9.7, (20, 15): 4.3, (20, 10): 7.9, (15, 10): 6.9}
+    assert not fit_convergence(measured).converges
+
+
 def test_chance_alone_is_not_taken_for_convergence():
     rng = np.random.default_rng(3)
     points = {h: rng.standard_normal(1000) * 0.002 / math.sqrt(2000) for h in (0.04, 0.02, 0.01)}
