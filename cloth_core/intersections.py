@@ -27,20 +27,26 @@ def crossing_edges(
     """
     edges, _ = unique_edges(triangles)
     tree = build_tree(other_vertices, other_triangles) if tree is None else tree
-    hit = _edges_through(vertices, edges, other_vertices, other_triangles, tree, False)
+    hit = _edges_through(vertices, edges, other_vertices, other_triangles, tree, np.zeros(0, dtype=np.int32))
     return edges[hit]
 
 
-def self_crossing_edges(vertices: Floats, triangles: Ints) -> Ints:
-    """Sides of a mesh that cross a triangle of the same mesh with which they share no corner, shape (k, 2)."""
+def self_crossing_edges(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> Ints:
+    """Sides of a mesh that cross a triangle of the same mesh with which they share no corner, shape (k, 2).
+
+    Args:
+        vertices, triangles: (n, 3) [m] and (m, 3).
+        identity: equal numbers are one corner, (n,); each vertex is its own if none is given.
+    """
     edges, _ = unique_edges(triangles)
-    hit = _edges_through(vertices, edges, vertices, triangles, build_tree(vertices, triangles), True)
+    identity = np.arange(len(vertices), dtype=np.int32) if identity is None else identity
+    hit = _edges_through(vertices, edges, vertices, triangles, build_tree(vertices, triangles), identity)
     return edges[hit]
 
 
 @kernel
 def _edges_through(
-    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, same_mesh: bool
+    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, identity: Ints
 ) -> NDArray[np.bool_]:
     hit = np.zeros(edges.shape[0], dtype=np.bool_)
     stack = np.zeros(128, dtype=np.int32)
@@ -68,9 +74,11 @@ def _edges_through(
                 top += 2
                 continue
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            i, j = edges[e, 0], edges[e, 1]
-            if same_mesh and (i == a or i == b or i == c or j == a or j == b or j == c):
-                continue
+            if identity.shape[0] > 0:
+                i, j = identity[edges[e, 0]], identity[edges[e, 1]]
+                la, lb, lc = identity[a], identity[b], identity[c]
+                if i == la or i == lb or i == lc or j == la or j == lb or j == lc:
+                    continue
             hit[e] = segment_crosses(p, q, vertices[a], vertices[b], vertices[c])
     return hit
 

@@ -21,6 +21,9 @@ __all__ = ["SeamPull", "build_seam_pull", "seam_forces", "seam_gaps"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+# Damping ratio of a seam spring between its two particles: they hardly swing past each other.
+_DAMPING_RATIO = 0.3
+
 
 class SeamPull(NamedTuple):
     """Springs that close the seams.
@@ -28,13 +31,14 @@ class SeamPull(NamedTuple):
     Attributes:
         pairs: particles to join, (p, 2).
         start_length: their distance at the start [m], (p,).
-        stiffness: [N/m]; damping: [N s/m]; largest_force: [N].
+        damping: [N s/m], (p,).
+        stiffness: [N/m]; largest_force: [N].
     """
 
     pairs: Ints
     start_length: Floats
+    damping: Floats
     stiffness: float
-    damping: float
     largest_force: float
 
 
@@ -50,11 +54,14 @@ def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats) -> SeamPull:
     else:
         pairs = np.zeros((0, 2), dtype=np.int32)
     structural = 0.5 * (fabric.structural_warp + fabric.structural_weft)
+    stiffness = 0.5 * structural
+    mass = fabric.area_density * garment.particle_areas[pairs]
+    reduced = mass[:, 0] * mass[:, 1] / np.maximum(mass.sum(axis=1), 1e-300)
     return SeamPull(
         pairs=pairs,
         start_length=np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1),
-        stiffness=0.5 * structural,
-        damping=0.5 * structural * fabric.damping_time,
+        damping=2.0 * _DAMPING_RATIO * np.sqrt(stiffness * reduced),
+        stiffness=stiffness,
         largest_force=max(fabric.strain_limit, 0.05) * structural * garment.spacing,
     )
 
@@ -78,9 +85,10 @@ def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Fl
         pull = share * length
         if pull > seam.largest_force:
             share *= seam.largest_force / pull
-        fx = share * dx + seam.damping * ux
-        fy = share * dy + seam.damping * uy
-        fz = share * dz + seam.damping * uz
+        damping = seam.damping[s]
+        fx = share * dx + damping * ux
+        fy = share * dy + damping * uy
+        fz = share * dz + damping * uz
         force[i, 0] += fx
         force[i, 1] += fy
         force[i, 2] += fz

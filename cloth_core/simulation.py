@@ -295,7 +295,9 @@ class Simulation:
             return
         # A tight garment pulls its last millimetres open again; merging the points closes them.
         model = self._merged(gaps, settings.merge_distance if late else settings.seam_tolerance)
-        if late and self._crosses_body(model):
+        if self._crossings(model) > self._crossings(self.model):
+            if not late:
+                return
             model = self._merged(gaps, settings.seam_tolerance)
         closed = {seam.name for seam in model.closed}
         self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
@@ -308,13 +310,17 @@ class Simulation:
         """The model in which all seams narrower than limit [m] are merged."""
         return Model(self.scene, closed=tuple(s for s in self.scene.garment.seams if gaps[s.name] <= limit))
 
-    def _crosses_body(self, model: Model) -> bool:
-        """Whether the present state, in a model's numbering, passes through the body anywhere."""
-        body = self.scene.body
-        if body is None:
-            return False
+    def _crossings(self, model: Model) -> int:
+        """Sides that pass through the body or the cloth when the present state is put into a model's numbering."""
         x = model.gather(self.positions, self.scene.garment.particle_areas)
-        return len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree)) > 0
+        # Triangles that will share a point once sewn are neighbours already.
+        identity = np.zeros(model.particle_count, dtype=np.int32)
+        identity[model.number] = self.scene.garment.merged_indices
+        crossings = len(self_crossing_edges(x, model.triangles, identity))
+        body = self.scene.body
+        if body is not None:
+            crossings += len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
+        return crossings
 
     def _open_window(self) -> None:
         self._window_x = self._x.copy()
