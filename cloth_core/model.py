@@ -19,7 +19,8 @@ from cloth_core.self_contact import SelfContact
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
-from cloth_core.strain_limit import build_strain_limit
+from cloth_core.strain_limit import build_strain_limit, no_strain_limit
+from cloth_core.switched_off import marked_off, scene_without
 
 __all__ = ["Model", "Term"]
 
@@ -55,7 +56,7 @@ class Model:
     """A scene made ready to run.
 
     Args:
-        scene: what is simulated.
+        scene: what is simulated; the model's own `scene` is without what is switched off.
         closed: the seams that are merged; the others stay open (and are pulled together while `sewing`).
         sewing: whether open seams pull, and gravity waits until they have closed.
 
@@ -69,6 +70,7 @@ class Model:
     """
 
     def __init__(self, scene: Scene, closed: tuple[Seam, ...] = (), sewing: bool = False) -> None:
+        without, scene = scene.without, scene_without(scene)
         garment, fabric = scene.garment, scene.fabric
         self.scene = scene
         self.closed = closed
@@ -92,15 +94,21 @@ class Model:
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
-        self.strain_limit = build_strain_limit(self.springs, fabric.strain_limit)
-        offset = scene.settings.contact_offset
-        self.contact: Contact | None = Contact(
-            self.triangles,
-            BodyContact(scene.body, offset) if scene.body is not None else None,
-            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset),
-            radius=min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing),
+        self.strain_limit = (
+            no_strain_limit() if "strain limit" in without else build_strain_limit(self.springs, fabric.strain_limit)
         )
-        self.terms = self._terms(closed)
+        offset = scene.settings.contact_offset
+        body = BodyContact(scene.body, offset) if scene.body is not None else None
+        cloth = (
+            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset)
+            if "self contact" not in without
+            else None
+        )
+        self.contact: Contact | None = None
+        if body is not None or cloth is not None:
+            radius = min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing)
+            self.contact = Contact(self.triangles, body, cloth, radius=radius)
+        self.terms = marked_off(self._terms(closed), without)
 
     # -- arrays for the compiled loop --
 
@@ -174,7 +182,9 @@ class Model:
                     terms.hinge_weights, terms.hinge_stiffness, 0.0, bends,
                 )  # fmt: skip
             if self.seam_pull is not None:
-                _pair_laplacian(u, self.seam_pull.pairs, np.full(len(self.seam_pull.pairs), self.seam_pull.stiffness), seams)
+                _pair_laplacian(
+                    u, self.seam_pull.pairs, np.full(len(self.seam_pull.pairs), self.seam_pull.stiffness), seams
+                )
                 _pair_laplacian(u, self.seam_pull.pairs, self.seam_pull.damping, seam_damping)
 
         def stiffness(u: Floats) -> Floats:

@@ -18,7 +18,8 @@ class Report:
         garment, body, fabric: names.
         particles: of the garment as it is now (merged at closed seams).
         triangles, springs: counts.
-        terms: name -> {"active", "reason", "elements", "microseconds_per_step"}.
+        terms: name -> {"active", "reason", "elements", "microseconds_per_step", "share" (of a step's time), "within"
+            (the term in whose time it is counted), "missed" (what the run lacks without it, if it was switched off)}.
         time_step: last one used [s]; stable_time_step: the largest stable one at the end [s].
         steps: done; simulated_time: [s]; wall_time: [s], compilation included.
         settled: whether it is at rest; rest_reason: by which criterion, or why it ended without rest.

@@ -17,6 +17,7 @@ from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern
 from cloth_core.placement import clear_of_body
 from cloth_core.quality import Settings, settings_for, with_expected_error
+from cloth_core.switched_off import check_without
 
 __all__ = ["Scene"]
 
@@ -35,6 +36,7 @@ class Scene:
         gravity: [m/s^2], shape (3,).
         air_drag: k_a [1/s].
         settings: spacing, time step, contact, rest.
+        without: names of terms that are switched off by hand; a report says what the run lacks for want of them.
         warnings: one line each.
     """
 
@@ -45,12 +47,14 @@ class Scene:
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     air_drag: float = 1.0
     settings: Settings = field(default_factory=Settings)
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.gravity) != 3 or not all(math.isfinite(g) for g in self.gravity):
             raise SceneError(f"gravity: {self.gravity!r} is not three finite numbers; give m/s^2, z up")
         if not (math.isfinite(self.air_drag) and self.air_drag >= 0.0):
             raise SceneError(f"air drag: {self.air_drag!r} is not a number of at least 0; give it in 1/s")
+        check_without(self.without)
         pins = np.asarray(self.pins)
         if pins.size and (pins.min() < 0 or pins.max() >= self.garment.particle_count):
             wrong = int(pins[(pins < 0) | (pins >= self.garment.particle_count)][0])
@@ -81,6 +85,7 @@ class Scene:
         gravity: float = STANDARD_GRAVITY,
         air_drag: float = 1.0,
         pins: Sequence[int] = (),
+        without: Sequence[str] = (),
     ) -> Scene:
         """Discretise patterns and put them around a body.
 
@@ -94,6 +99,7 @@ class Scene:
             gravity: downward [m/s^2].
             air_drag: k_a [1/s].
             pins: particles that are held, unsewn numbering.
+            without: names of terms to switch off.
 
         Raises:
             ClothError: anything that does not fit together.
@@ -116,6 +122,7 @@ class Scene:
             gravity=(0.0, 0.0, -gravity),
             air_drag=air_drag,
             settings=chosen,
+            without=tuple(without),
         )
 
 

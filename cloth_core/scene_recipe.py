@@ -32,6 +32,7 @@ class SceneRecipe:
         gravity: downward [m/s^2].
         air_drag: k_a [1/s].
         pinned: points in space [m]; at each the nearest particle of the start is held, whatever the spacing.
+        without: terms that are switched off.
     """
 
     patterns: tuple[str, ...]
@@ -40,11 +41,13 @@ class SceneRecipe:
     gravity: float = STANDARD_GRAVITY
     air_drag: float = 1.0
     pinned: tuple[tuple[float, float, float], ...] = ()
+    without: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """For tables: garment, body and fabric."""
-        return f"{' + '.join(self.patterns)} on {self.body or 'no body'}, {self.fabric}"
+        without = f", without {' and '.join(self.without)}" if self.without else ""
+        return f"{' + '.join(self.patterns)} on {self.body or 'no body'}, {self.fabric}{without}"
 
     def build(self, settings: Settings, seed: int = 0) -> Scene:
         """The scene at these settings.
@@ -63,6 +66,7 @@ class SceneRecipe:
             settings=settings,
             gravity=self.gravity,
             air_drag=self.air_drag,
+            without=self.without,
         )
         garment = scene.garment
         pins = [int(((garment.start - np.asarray(p)) ** 2).sum(axis=1).argmin()) for p in self.pinned]
@@ -91,6 +95,7 @@ class SceneRecipe:
             "gravity": self.gravity,
             "air_drag": self.air_drag,
             "pinned": self.pinned,
+            "without": self.without,
         }
         return hashlib.sha256(json.dumps(contents, sort_keys=True).encode()).hexdigest()
 

@@ -73,6 +73,13 @@ def _scene_options(command: Command) -> Command:
             help="Air drag k_a: deceleration per velocity.",
         ),
         click.option(
+            "--without",
+            multiple=True,
+            metavar="TERM",
+            help="Switches a term off by hand, for example 'self contact'; the report says what the run then lacks. "
+            "May be given several times.",
+        ),
+        click.option(
             "--max-time",
             type=Quantity("s", above=True),
             help="Simulated time after which a run is given up that has not come to rest.  [default: 20]",
@@ -264,6 +271,7 @@ def _prepare(
     gravity: float,
     air_drag: float,
     max_time: float | None,
+    without: tuple[str, ...],
 ) -> tuple[list[Pattern], Simulation, dict[str, object]]:
     """The patterns, a simulation of their scene, and the parameters that repeat it."""
     if quality is not None and tolerance is not None:
@@ -288,8 +296,10 @@ def _prepare(
         settings = replace(settings, max_time=max_time)
     chosen_body = None if body is None else Body.load(body)
     display.step("preparing the scene (the first run after an installation compiles, which takes longer)")
-    scene = Scene.build(patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag)
-    return patterns, Simulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
+    scene = Scene.build(
+        patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag, without=without
+    )
+    return patterns, Simulation(scene), {**parameters.to_dict(), "settings": asdict(settings), "without": without}
 
 
 def _recorder(
@@ -365,10 +375,9 @@ def _write_results(
 def _explanation(simulation: Simulation) -> dict[str, Any]:
     """`Simulation.describe` and the cost of a step, measured on copies of the start."""
     facts = simulation.describe()
-    terms = simulation.report().terms
-    per_step = 1e-6 * sum(term["microseconds_per_step"] or 0.0 for term in terms.values())
+    per_step = 1e-6 * sum(term["microseconds_per_step"] or 0.0 for term in facts["terms"].values())
     per_second = per_step / facts["time_step"]
-    return {**facts, "terms": terms, "seconds_per_step": per_step, "seconds_per_simulated_second": per_second}
+    return {**facts, "seconds_per_step": per_step, "seconds_per_simulated_second": per_second}
 
 
 def _warn(lines: Iterable[str]) -> None:

@@ -60,9 +60,13 @@ def _print_rows(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 def _print_terms(terms: dict[str, dict[str, Any]]) -> None:
-    table = Table("term", "on", "elements", "µs a step", "reason", title="terms", title_justify="left")
+    table = Table("term", "on", "elements", "µs a step", "share", "reason", title="terms", title_justify="left")
     for name, term in terms.items():
-        cost = term["microseconds_per_step"]
-        shown = "" if cost is None or not term["active"] else f"{cost:.1f}"
-        table.add_row(name, "yes" if term["active"] else "no", str(term["elements"]), shown, Text(term["reason"]))
+        cost, share = "", ""
+        if term["within"] is not None:
+            share = f"in {term['within']}"
+        elif term["active"]:
+            cost, share = f"{term['microseconds_per_step']:.1f}", f"{100 * term['share']:.1f} %"
+        on = "yes" if term["active"] else "no"
+        table.add_row(name, on, str(term["elements"]), cost, share, Text(term["reason"]))
     Console().print(table)

@@ -30,6 +30,7 @@ def run_tradeoff(
     gravity: float,
     air_drag: float,
     max_time: float | None,
+    without: tuple[str, ...],
     output: str,
     spacings: str | None,
     vary: str | None,
@@ -42,7 +43,7 @@ def run_tradeoff(
     """
     if quality is not None:
         raise ClothError("--quality: a trade-off tries all of them; leave it out")
-    recipe = SceneRecipe(tuple(patterns), body, fabric, gravity, air_drag)
+    recipe = SceneRecipe(tuple(patterns), body, fabric, gravity, air_drag, without=without)
     base = Settings() if max_time is None else replace(Settings(), max_time=max_time)
     plan = plan_tradeoff(recipe, base, _spacings(spacings), _dials(vary))
     folder = Path(output)

@@ -1,4 +1,4 @@
-"""Runs that are measured and kept: what they depend on, that they are not run twice, and that processes change nothing."""
+"""Runs that are measured and kept: what they depend on, not run twice, the same in processes of their own."""
 
 import json
 from dataclasses import replace
@@ -134,7 +134,7 @@ def test_processes_give_the_bits_of_one_process_and_do_only_what_is_missing(tmp_
 def test_series_can_be_stopped_and_what_is_done_stays(tmp_path):
     requests = [replace(MOTION, seed=seed) for seed in range(3)]
     measure(requests[0], tmp_path)
-    with pytest.raises(SimulationError, match="stopped with [1-3] of 3 runs done"):
+    with pytest.raises(SimulationError, match=r"stopped with [1-3] of 3 runs done"):
         run_series(requests, tmp_path, processes=1, should_stop=lambda: True)
     assert stored_run(requests[0], tmp_path) is not None
     json.loads((tmp_path / f"{requests[0].key()}.json").read_text())
