@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,12 @@ __all__ = ["SWITCHABLE", "check_without", "marked_off", "missed_effects", "scene
 Floats = NDArray[np.float64]
 
 
-def _fabric(**changes: float) -> Callable[[Scene], Scene]:
-    return lambda scene: replace(scene, fabric=replace(scene.fabric, **changes))
+def _fabric(key: str) -> Callable[[Scene], Scene]:
+    def without(scene: Scene) -> Scene:
+        changes: dict[str, Any] = {key: 0.0}
+        return replace(scene, fabric=replace(scene.fabric, **changes))
+
+    return without
 
 
 def _without_seams(scene: Scene) -> Scene:
@@ -44,15 +48,15 @@ def _without_seams(scene: Scene) -> Scene:
 SWITCHABLE: dict[str, Callable[[Scene], Scene]] = {
     "gravity": lambda scene: replace(scene, gravity=(0.0, 0.0, 0.0)),
     "air drag": lambda scene: replace(scene, air_drag=0.0),
-    "shear springs": _fabric(shear=0.0),
-    "bending springs": _fabric(bending_spring=0.0),
-    "bending": _fabric(bending=0.0),
+    "shear springs": _fabric("shear"),
+    "bending springs": _fabric("bending_spring"),
+    "bending": _fabric("bending"),
     "strain limit": lambda scene: scene,
-    "spring damping": _fabric(damping_time=0.0),
+    "spring damping": _fabric("damping_time"),
     "pins": lambda scene: replace(scene, pins=np.zeros(0, dtype=np.int32)),
     "seams": _without_seams,
     "body contact": lambda scene: replace(scene, body=None),
-    "friction": _fabric(friction=0.0),
+    "friction": _fabric("friction"),
     "self contact": lambda scene: scene,
 }
 

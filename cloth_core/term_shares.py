@@ -48,9 +48,7 @@ def term_shares(terms: Sequence[Term], costs: Mapping[str, float]) -> dict[str, 
         if t.name == "self contact" and t.name not in costs and "body contact" in active:
             within = "body contact"
         # What has no loop of its own takes nothing: seams that are merged.
-        own = microseconds.get(t.name, 0.0) if t.active else 0.0
-        if within is not None:
-            own = None
+        own = None if within is not None else microseconds.get(t.name, 0.0) if t.active else 0.0
         share = None if own is None else (own / whole if whole > 0.0 else 0.0)
         found[t.name] = {"microseconds_per_step": own, "share": share, "within": within}
     return found
