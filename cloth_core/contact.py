@@ -144,19 +144,18 @@ class Contact:
 
     def _broad_phase(self, x: Floats) -> None:
         self.broad_phases += 1
-        if self._tree is None:
-            self._tree = build_tree(x, self.triangles)
         self._planes = _no_planes(len(x))
         parts: list[tuple[Ints, Floats, Floats]] = []
         if self.body is not None:
+            if self._tree is None:
+                self._tree = build_tree(x, self.triangles)
             refit_tree(self._tree, x, self.triangles, self.body.offset + self.radius)
             self._planes, *found = self.body.candidates(
                 x, self.triangles, self._representatives, self._tree, self.radius
             )
             parts.append((found[0], found[1], found[2]))
         if self.cloth is not None:
-            refit_tree(self._tree, x, self.triangles, 0.5 * self.cloth.offset + self.radius)
-            parts.append(self.cloth.candidates(x, self.triangles, self._representatives, self._tree, self.radius))
+            parts.append(self.cloth.candidates(x, self.radius))
         pairs = PairContacts.none()
         if parts:
             rows, offset, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -221,8 +220,12 @@ def _narrow_phase(
 
 
 @kernel
-def keep_within_travel(x: Floats, state: ContactState, moved: Floats) -> bool:
-    """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound."""
+def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
+    """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound.
+
+    A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever holds it
+    there would go on adding to a velocity that shows nowhere.
+    """
     spent = False
     for i in range(x.shape[0]):
         dx = x[i, 0] - state.origin[i, 0]
@@ -237,6 +240,11 @@ def keep_within_travel(x: Floats, state: ContactState, moved: Floats) -> bool:
                 x[i, 0] = state.origin[i, 0] + share * dx
                 x[i, 1] = state.origin[i, 1] + share * dy
                 x[i, 2] = state.origin[i, 2] + share * dz
+                outward = (dx * v[i, 0] + dy * v[i, 1] + dz * v[i, 2]) / (distance * distance)
+                if outward > 0.0:
+                    v[i, 0] -= outward * dx
+                    v[i, 1] -= outward * dy
+                    v[i, 2] -= outward * dz
                 distance = bound
         moved[i] = distance
     return spent
@@ -251,7 +259,7 @@ def resolve_contacts(
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) scratch; dt [s].
     """
     repeat_impulses(x, v, inverse_mass, state.pairs, dt)
-    spent = keep_within_travel(x, state, moved)
+    spent = keep_within_travel(x, v, state, moved)
     hold_vertices(
         x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_triangles, settings.offset,
         settings.friction, settings.push_speed, dt,

@@ -9,7 +9,7 @@ from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
 
-__all__ = ["crossing_edges", "segment_crosses", "self_crossing_edges"]
+__all__ = ["crossed_triangles", "crossing_edges", "segment_crosses", "self_crossing_edges"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -42,6 +42,27 @@ def self_crossing_edges(vertices: Floats, triangles: Ints, identity: Ints | None
     identity = np.arange(len(vertices), dtype=np.int32) if identity is None else identity
     hit = _edges_through(vertices, edges, vertices, triangles, build_tree(vertices, triangles), identity)
     return edges[hit]
+
+
+def crossed_triangles(vertices: Floats, triangles: Ints, identity: Ints) -> NDArray[np.bool_]:
+    """Which triangles of a mesh are crossed by a side of it with which they share no corner, shape (m,)."""
+    crossing = self_crossing_edges(vertices, triangles, identity)
+    return _crossed(vertices, crossing, triangles, identity)
+
+
+@kernel
+def _crossed(x: Floats, edges: Ints, triangles: Ints, identity: Ints) -> NDArray[np.bool_]:
+    crossed = np.zeros(triangles.shape[0], dtype=np.bool_)
+    for e in range(edges.shape[0]):
+        i, j = edges[e, 0], edges[e, 1]
+        for t in range(triangles.shape[0]):
+            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            li, lj, la, lb, lc = identity[i], identity[j], identity[a], identity[b], identity[c]
+            if li == la or li == lb or li == lc or lj == la or lj == lb or lj == lc:
+                continue
+            if not crossed[t] and segment_crosses(x[i], x[j], x[a], x[b], x[c]):
+                crossed[t] = True
+    return crossed
 
 
 @kernel

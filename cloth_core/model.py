@@ -14,8 +14,8 @@ from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.kernel import kernel
 from cloth_core.scene import Scene
-from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.self_contact import SelfContact
+from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
@@ -100,7 +100,7 @@ class Model:
         offset = scene.settings.contact_offset
         body = BodyContact(scene.body, offset) if scene.body is not None else None
         cloth = (
-            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset)
+            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset, sewing)
             if "self contact" not in without
             else None
         )

@@ -9,15 +9,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree, boxes_overlap
+from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
 from cloth_core.closest_points import point_triangle, segment_segment
 from cloth_core.garment import Garment
+from cloth_core.intersections import crossed_triangles, self_crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
-from cloth_core.mesh_topology import Representatives
+from cloth_core.mesh_topology import Representatives, representatives
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 from cloth_core.pair_list import doubled, doubled_lengths, write_pair
 
-__all__ = ["SelfContact", "self_overlapping_pairs"]
+__all__ = ["SelfContact", "seam_gap_triangles", "self_overlapping_pairs"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -37,15 +38,21 @@ class SelfContact:
     """
 
     def __init__(self, triangles: Ints, identity: Ints, height: Floats, offset: float) -> None:
+        self.triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self.identity = np.ascontiguousarray(identity, dtype=np.int32)
         self.offset = offset
         self._room = _NEIGHBOUR_SHARE * height
-        self._neighbour_start, self._neighbours = _neighbours(self.identity[triangles])
+        self._representatives = representatives(self.triangles)
+        self._neighbour_start, self._neighbours = _neighbours(self.identity[self.triangles])
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
+        self._tree: AabbTree | None = None
 
     @classmethod
-    def of(cls, garment: Garment, number: Ints, triangles: Ints, offset: float) -> SelfContact:
-        """Self contact of a garment whose unsewn particles are numbered `number` (n,); triangles in that numbering."""
+    def of(cls, garment: Garment, number: Ints, triangles: Ints, offset: float, sewing: bool) -> SelfContact:
+        """Self contact of a garment whose unsewn particles are numbered `number` (n,); triangles in that numbering.
+
+        While it is sewn, the gaps of its seams count as cloth: nothing can get between two edges that belong together.
+        """
         count = int(number.max()) + 1
         identity = np.zeros(count, dtype=np.int32)
         identity[number] = garment.merged_indices
@@ -53,30 +60,53 @@ class SelfContact:
         longest = np.max([np.linalg.norm(corner[:, k] - corner[:, k - 1], axis=1) for k in range(3)], axis=0)
         height = np.full(count, np.inf)
         np.minimum.at(height, triangles.ravel(), np.repeat(2.0 * garment.areas / longest, 3))
+        if sewing and garment.seams:
+            triangles = np.concatenate([triangles, _free_gaps(garment)])
         return cls(triangles, identity, height, offset)
 
-    def candidates(
-        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float
-    ) -> tuple[Ints, Floats, Floats]:
+    def candidates(self, x: Floats, radius: float) -> tuple[Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than radius from x (n, 3) [m].
-
-        Args:
-            x, triangles, cloth: positions [m], the cloth's triangles and who owns what.
-            tree: of the triangles, its boxes enlarged by at least offset / 2 + radius.
-            radius: [m].
 
         Returns:
             pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
         """
-        found = self_overlapping_pairs(tree, self._leaf_pairs)
+        if self._tree is None:
+            self._tree = build_tree(x, self.triangles)
+        refit_tree(self._tree, x, self.triangles, 0.5 * self.offset + radius)
+        found = self_overlapping_pairs(self._tree, self._leaf_pairs)
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
-            found = self_overlapping_pairs(tree, self._leaf_pairs)
+            found = self_overlapping_pairs(self._tree, self._leaf_pairs)
         rows, lengths = _candidates(
-            x, triangles, cloth, self.identity, self._neighbour_start, self._neighbours, self._room,
-            self._leaf_pairs[:found], self.offset, self.offset + 2.0 * radius,
+            x, self.triangles, self._representatives, self.identity, self._neighbour_start, self._neighbours,
+            self._room, self._leaf_pairs[:found], self.offset, self.offset + 2.0 * radius,
         )  # fmt: skip
         return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
+
+
+def seam_gap_triangles(garment: Garment) -> Ints:
+    """Triangles that fill the gap between the two edges of each open seam, in the unsewn numbering, shape (k, 3)."""
+    parts = [np.zeros((0, 3), dtype=np.int32)]
+    for seam in garment.seams:
+        a, b, c, d = seam.first[:-1], seam.first[1:], seam.second[1:], seam.second[:-1]
+        parts += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+    triangles = np.concatenate(parts)
+    p, q, r = triangles.T
+    return np.asarray(triangles[(p != q) & (q != r) & (r != p)], dtype=np.int32)
+
+
+def _free_gaps(garment: Garment) -> Ints:
+    """Those gap triangles that cross nothing at the start: what is crossed cannot be kept apart."""
+    gaps = seam_gap_triangles(garment)
+    everything = np.concatenate([garment.triangles, gaps])
+    x, identity = garment.start, garment.merged_indices
+    crossed = crossed_triangles(x, everything, identity)[len(garment.triangles) :]
+    crossing = self_crossing_edges(x, everything, identity)
+    ends = crossing[:, 0].astype(np.int64) * len(x) + crossing[:, 1]
+    for k in range(3):
+        side = np.sort(gaps[:, [k, (k + 1) % 3]], axis=1)
+        crossed |= np.isin(side[:, 0].astype(np.int64) * len(x) + side[:, 1], ends)
+    return gaps[~crossed]
 
 
 def _neighbours(triangles: Ints) -> tuple[Ints, Ints]:

@@ -40,6 +40,9 @@ _CHECK_INTERVAL = 1.0 / 60.0
 # Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH, _MOST_REACH = 0.001, 0.006
+# Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
+_SEWING_INTERVAL = 0.05
+_STALLED = 0.9
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -92,6 +95,8 @@ class Simulation:
         self._warnings: list[str] = []
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
+        self._widest_gap = math.inf
+        self._next_sewing = 0.0
         self._speed = 0.0
         garment = scene.garment
         sewing = bool(scene_without(scene).garment.seams)
@@ -288,16 +293,21 @@ class Simulation:
         )
 
     def _sew(self) -> None:
-        """Merge the seams once all are closed, or the time for sewing is over."""
+        """Merge the seams once all are closed, or no longer get narrower, or the time for sewing is over."""
         settings = self.scene.settings
-        if self.time < settings.closing_time:
+        if self.time < max(settings.closing_time, self._next_sewing):
             return
+        self._next_sewing = self.time + _SEWING_INTERVAL
         gaps = seam_gaps(self.scene.garment, self.positions)
+        widest, before = max(gaps.values()), self._widest_gap
+        self._widest_gap = widest
         late = self.time >= settings.sewing_time
-        if max(gaps.values()) > settings.seam_tolerance and not late:
+        if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return
-        # A tight garment pulls its last millimetres open again; merging the points closes them.
-        model = self._merged(gaps, settings.merge_distance if late else settings.seam_tolerance)
+        # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
+        model = self._merged(gaps, settings.merge_distance)
+        if (model.number != self.scene.garment.merged_indices).any() and not late:
+            return
         if self._crossings(model) > self._crossings(self.model):
             if not late:
                 return

@@ -100,6 +100,6 @@ def run_steps(
             spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
         hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if contact.active and (keep_within_travel(x, contacts, moved) or spent):
+        if contact.active and (keep_within_travel(x, v, contacts, moved) or spent):
             return step + 1
     return count

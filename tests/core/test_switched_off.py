@@ -99,9 +99,8 @@ def test_self_contact_that_is_off_changes_no_bit_where_layers_cannot_meet():
     scene = Scene.build(pattern({"p": rectangle(0.2, 0.2)}), None, FABRIC, settings=Settings(spacing=0.05), pins=[0])
     # Which springs are near their strain limit is noted anew after each search, so that one is left out here; and in
     # whole ticks, because the length of a last, shorter one depends on how the time was summed up.
-    runs = [
-        Simulation(replace(scene, without=without)) for without in ((limit := "strain limit",), (limit, "self contact"))
-    ]
+    off = (("strain limit",), ("strain limit", "self contact"))
+    runs = [Simulation(replace(scene, without=without)) for without in off]
     for simulation in runs:
         for _ in range(12):
             simulation.tick()
