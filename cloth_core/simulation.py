@@ -459,11 +459,14 @@ class Simulation:
         """Terms with reasons and measured shares, counts and the stable time step, as JSON types; nothing is run."""
         model = self.model
         limit = self._stable
+        missed = missed_effects(self.scene, model, self._x, self._v, self.positions)
         return {
             "garment": self.scene.garment.name,
             "body": self.scene.body.name if self.scene.body is not None else None,
             "fabric": self.scene.fabric.name,
             "spacing": self.scene.settings.spacing,
+            "expected_error": self.scene.settings.expected_error,
+            "expected_error_source": self.scene.settings.expected_error_source,
             "particles": model.particle_count,
             "triangles": len(model.triangles),
             "springs": len(model.springs),
@@ -471,12 +474,12 @@ class Simulation:
             "seams": len(self.scene.garment.seams),
             "area": float(self.scene.garment.areas.sum()),
             "mass": float(model.mass.sum()),
-            "terms": self._term_facts({}),
+            "terms": self._term_facts(missed),
             "time_step": self._dt,
             "stable_time_step": limit.time_step if math.isfinite(limit.time_step) else None,
             "largest_frequency": limit.largest_frequency,
             "damping_ratio": limit.damping_ratio if math.isfinite(limit.damping_ratio) else None,
             "phase": self.phase,
             "simulated_time": self.time,
-            "warnings": list(self.scene.warnings),
+            "warnings": [*self.scene.warnings, *missed.values()],
         }

@@ -47,7 +47,7 @@ def test_between_rows_a_power_law_is_met_exactly():
 
 
 def test_nothing_is_promised_beyond_what_was_measured():
-    assert table().promise(0.0099, SMALL_LIMP) is None
+    assert table().promise(0.002, SMALL_LIMP) == table().promise(0.01, SMALL_LIMP)
     assert table().promise(0.0401, SMALL_LIMP) is None
     # A garment smaller or larger than any measured counts as the nearest one.
     assert table().promise(0.02, Cloth(0.01, "limp")) == table().promise(0.02, SMALL_LIMP)

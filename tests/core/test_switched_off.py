@@ -160,6 +160,13 @@ def test_report_says_what_is_lacking_and_where():
     )
 
 
+def test_what_is_lacking_is_known_before_the_run_as_far_as_it_shows():
+    facts = Simulation(full_scene(("gravity", "pins"))).describe()
+    assert facts["terms"]["pins"]["missed"] == "pins are off and 1 particles were to be held"
+    assert facts["terms"]["pins"]["missed"] in facts["warnings"]
+    assert facts["terms"]["gravity"]["missed"].startswith("gravity is off and 0.016 kg of cloth do not weigh 0.157 N")
+
+
 def test_effect_that_the_scene_does_not_need_is_not_missed():
     scene = full_scene(("self contact", "strain limit"), gravity=(0.0, 0.0, 0.0), air_drag=0.0)
     report = Simulation(scene).report()
