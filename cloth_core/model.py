@@ -91,6 +91,8 @@ class Model:
         self.inverse_mass[self.number[scene.pins]] = 0.0
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
         self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
+        self._spring_runs = self.springs.runs()
+        self._line_runs = (_NO_BENDING if self.bending is None else self.bending).line_runs()
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
@@ -121,17 +123,15 @@ class Model:
             inverse_mass=self.inverse_mass,
             gravity=gravity,
             air_drag=float(air_drag),
-            spring_pairs=self.springs.pairs,
-            spring_rest_length=self.springs.rest_length,
-            spring_stiffness=self.springs.stiffness,
+            springs=self._spring_runs,
             spring_damping_time=self.scene.fabric.damping_time,
-            lines=bend.lines,
-            line_stiffness=bend.line_stiffness,
+            lines=self._line_runs,
             hinges=bend.hinges,
             hinge_weights=bend.hinge_weights,
             hinge_stiffness=bend.hinge_stiffness,
             bending_damping_time=self.scene.fabric.bending_damping_time,
             seam=self.seam_pull if self.seam_pull is not None else _NO_SEAMS,
+            spring_pairs=self.springs.pairs,
             strain_limit=self.strain_limit,
         )
 
@@ -167,7 +167,6 @@ class Model:
         self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 2e-3
     ) -> StableStep:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
-        still = np.zeros_like(x)
         terms = self.force_terms(air_drag)
         tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
         springs, bends, seams, seam_damping = (np.zeros_like(x) for _ in range(4))
@@ -177,10 +176,12 @@ class Model:
                 out[:] = 0.0
             _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self.springs.stiffness, springs)
             if self.bending is not None:
+                forces = np.zeros((3, len(x)))
                 bending_forces(
-                    np.ascontiguousarray(u), still, terms.lines, terms.line_stiffness, terms.hinges,
-                    terms.hinge_weights, terms.hinge_stiffness, 0.0, bends,
+                    np.ascontiguousarray(u.T), terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness,
+                    forces, np.zeros_like(forces),
                 )  # fmt: skip
+                bends[:] = forces.T
             if self.seam_pull is not None:
                 _pair_laplacian(
                     u, self.seam_pull.pairs, np.full(len(self.seam_pull.pairs), self.seam_pull.stiffness), seams

@@ -68,15 +68,15 @@ def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats) -> SeamPull:
 
 @kernel
 def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Floats) -> None:
-    """Pull both ends of each pair to openness * start_length; x, v, force (n, 3) [m, m/s, N]."""
+    """Pull both ends of each pair to openness * start_length; x, v, force (3, n) [m, m/s, N]."""
     for s in range(seam.pairs.shape[0]):
         i, j = seam.pairs[s, 0], seam.pairs[s, 1]
-        dx = x[j, 0] - x[i, 0]
-        dy = x[j, 1] - x[i, 1]
-        dz = x[j, 2] - x[i, 2]
-        ux = v[j, 0] - v[i, 0]
-        uy = v[j, 1] - v[i, 1]
-        uz = v[j, 2] - v[i, 2]
+        dx = x[0, j] - x[0, i]
+        dy = x[1, j] - x[1, i]
+        dz = x[2, j] - x[2, i]
+        ux = v[0, j] - v[0, i]
+        uy = v[1, j] - v[1, i]
+        uz = v[2, j] - v[2, i]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         share = seam.stiffness
         if openness > 0.0:
@@ -89,12 +89,12 @@ def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Fl
         fx = share * dx + damping * ux
         fy = share * dy + damping * uy
         fz = share * dz + damping * uz
-        force[i, 0] += fx
-        force[i, 1] += fy
-        force[i, 2] += fz
-        force[j, 0] -= fx
-        force[j, 1] -= fy
-        force[j, 2] -= fz
+        force[0, i] += fx
+        force[1, i] += fy
+        force[2, i] += fz
+        force[0, j] -= fx
+        force[1, j] -= fy
+        force[2, j] -= fz
 
 
 def seam_gaps(garment: Garment, x: Floats) -> dict[str, float]:

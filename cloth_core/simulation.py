@@ -21,7 +21,7 @@ from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
-from cloth_core.step import run_steps
+from cloth_core.step import Workspace, run_steps
 from cloth_core.switched_off import missed_effects, scene_without
 from cloth_core.term_cost import term_costs
 from cloth_core.term_shares import term_shares
@@ -201,7 +201,7 @@ class Simulation:
         while done < count:
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
             did = run_steps(
-                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._contacts, dt,
+                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, dt,
                 count - done, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
@@ -234,7 +234,7 @@ class Simulation:
         self._x = model.gather(unsewn_x, weight)
         self._v = model.gather(unsewn_v, weight)
         self._v[model.inverse_mass == 0.0] = 0.0
-        self._force = np.zeros_like(self._x)
+        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         self._contact_settings = model.contact_settings()
         self._stable = model.stable_step(self._x, self._air_drag())

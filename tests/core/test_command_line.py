@@ -253,7 +253,7 @@ def test_explain_shows_shares_and_what_to_expect(capsys: pytest.CaptureFixture[s
     assert main(["explain", *SHEET_AT_REST[1:]]) == 0
     shown = capsys.readouterr().out
     assert "share" in shown
-    assert "time: see" in shown
+    assert "(time:" in shown
     assert "expected error" in shown
 
 
