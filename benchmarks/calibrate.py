@@ -38,6 +38,7 @@ TABLE = PACKAGE / "data" / "calibration.json"
 CHECK = Path(__file__).parent / "calibration_check.json"
 
 SPACINGS = (0.04, 0.03, 0.02, 0.015, 0.0125)
+CHECKED = (0.04, 0.025, 0.02, 0.015)
 SPREAD_AT = 0.02
 SEEDS = (1, 2)
 
@@ -114,15 +115,14 @@ def calibrate(folder: Path, finest: float, processes: int | None) -> int:
 def check(folder: Path, finest: float, processes: int | None) -> int:
     """Hold the promises against scenes that were not calibrated."""
     table = Calibration.from_dict(json.loads(TABLE.read_text(encoding="utf-8")))
-    asked = [(0.04, None), (0.025, None), (0.015, None)]
+    asked = [h for h in CHECKED if h > 1.01 * finest]
     plan: list[tuple[SceneRecipe, float, float]] = []  # recipe, spacing, promise
     for recipe in HELD_BACK:
         cloth = cloth_of(recipe)
-        for h, _ in asked:
-            plan.append((recipe, h, promised(table, h, cloth)))
+        plan += [(recipe, h, promised(table, h, cloth)) for h in asked]
         # A tolerance between the promises of coarse and fine, as a user would ask for it.
-        tolerance = math.sqrt(promised(table, 0.04, cloth) * promised(table, 0.015, cloth))
-        plan.append((recipe, round(table.spacing(tolerance, cloth) or 0.015, 6), tolerance))
+        tolerance = math.sqrt(promised(table, asked[0], cloth) * promised(table, asked[-1], cloth))
+        plan.append((recipe, round(table.spacing(tolerance, cloth) or asked[-1], 6), tolerance))
     requests = [RunRequest(recipe, Settings(spacing=h)) for recipe, h, _ in plan]
     references = [RunRequest(recipe, Settings(spacing=finest)) for recipe in HELD_BACK]
     runs = run_series([*requests, *references], folder, processes=processes, on_progress=tell())
