@@ -5,8 +5,8 @@ spacings, for classes of fabric and sizes of garments, and the factor by which e
 is an upper quantile: typical error times factor, and never less than the spread of drapes that are equally right.
 
 Between its rows the table is read as a power law, that is linearly in the logarithms of spacing and area. It is not
-read beyond them: a finer spacing than any calibrated is promised no more than the finest one, a coarser one nothing, and
-a garment outside the range of areas counts as the nearest one.
+read beyond them: a finer spacing than any calibrated is promised what the finest one is, a coarser one nothing, and a
+garment outside the range of areas counts as the nearest one.
 """
 
 from __future__ import annotations

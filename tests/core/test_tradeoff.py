@@ -160,7 +160,7 @@ def test_files_say_the_same(tmp_path):
 # ---- the command
 
 # A sheet without gravity lies still from the start; its drapes differ by nothing but the start's disturbance.
-AT_REST = ["tradeoff", "rectangle", "--gravity", "0", "--spacings", "250,200,150", "--vary", "none"]
+AT_REST = ["tradeoff", "rectangle", "--processes", "1", "--gravity", "0", "--spacings", "250,200,150", "--vary", "none"]
 
 
 def test_command_measures_once_and_goes_on_from_what_is_there(tmp_path, capsys):
