@@ -37,9 +37,8 @@ PACKAGE = Path(__file__).parents[1] / "cloth_core"
 TABLE = PACKAGE / "data" / "calibration.json"
 CHECK = Path(__file__).parent / "calibration_check.json"
 
-SPACINGS = (0.04, 0.03, 0.02, 0.015, 0.0125)
+SPACINGS = (0.04, 0.03, 0.025, 0.02, 0.015, 0.0125)
 CHECKED = (0.04, 0.025, 0.02, 0.015)
-SPREAD_AT = 0.02
 SEEDS = (1, 2)
 
 CALIBRATED = (
@@ -63,6 +62,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--runs", type=Path, required=True, help="directory of the finished runs")
     parser.add_argument("--finest", type=float, default=10.0, help="spacing of the references [mm]")
+    parser.add_argument("--spread-at", type=float, default=20.0, help="spacing at which the start is disturbed [mm]")
     parser.add_argument("--processes", type=int, help="runs at once; one for each core if not given")
     parser.add_argument("--check", action="store_true", help="held-back scenes against the table")
     options = parser.parse_args()
@@ -70,19 +70,21 @@ def main() -> int:
     try:
         if options.check:
             return check(options.runs, finest, options.processes)
-        return calibrate(options.runs, finest, options.processes)
+        return calibrate(options.runs, finest, options.spread_at / 1000.0, options.processes)
     except ClothError as error:
         print(f"calibrate: error: {error}", file=sys.stderr)
         return 1
 
 
-def calibrate(folder: Path, finest: float, processes: int | None) -> int:
+def calibrate(folder: Path, finest: float, spread_at: float, processes: int | None) -> int:
     """Measure the calibrated scenes and write the table."""
     spacings = [h for h in SPACINGS if h > 1.01 * finest]
+    if spread_at not in spacings:
+        raise ClothError(f"--spread-at {1000 * spread_at:g}: is none of the spacings {[1000 * h for h in spacings]} mm")
     requests = [
         RunRequest(recipe, Settings(spacing=h), seed)
         for recipe in CALIBRATED
-        for h, seed in [*((h, 0) for h in (*spacings, finest)), *((SPREAD_AT, seed) for seed in SEEDS)]
+        for h, seed in [*((h, 0) for h in (*spacings, finest)), *((spread_at, seed) for seed in SEEDS)]
     ]
     runs = run_series(requests, folder, processes=processes, on_progress=tell())
     each = len(requests) // len(CALIBRATED)
@@ -90,7 +92,7 @@ def calibrate(folder: Path, finest: float, processes: int | None) -> int:
     for k, recipe in enumerate(CALIBRATED):
         own = runs[k * each : (k + 1) * each]
         drapes, disturbed = own[: len(spacings) + 1], own[len(spacings) + 1 :]
-        facts = scene_facts(recipe, drapes, [drapes[spacings.index(SPREAD_AT)], *disturbed])
+        facts = scene_facts(recipe, drapes, [drapes[spacings.index(spread_at)], *disturbed])
         scenes.append(facts)
         print(json.dumps(facts))
         cloth = cloth_of(recipe)
@@ -104,6 +106,7 @@ def calibrate(folder: Path, finest: float, processes: int | None) -> int:
         "machine": machine_class(),
         "core": core_version(),
         "reference_spacing": finest,
+        "spread_at": spread_at,
         "measured": scenes,
     }
     table = fit_calibration(cases, spread, provenance)

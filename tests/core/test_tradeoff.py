@@ -9,7 +9,7 @@ import pytest
 
 from cloth_core.drape_error import Drape
 from cloth_core.errors import ClothError, SimulationError
-from cloth_core.measured_run import MeasuredRun, RunRequest
+from cloth_core.measured_run import MeasuredRun, RunRequest, measure
 from cloth_core.quality import Settings
 from cloth_core.scene_recipe import SceneRecipe
 from cloth_core.tradeoff import DIALS, evaluate, front, plan_tradeoff
@@ -160,12 +160,20 @@ def test_files_say_the_same(tmp_path):
 # ---- the command
 
 # A sheet without gravity lies still from the start; its drapes differ by nothing but the start's disturbance.
-AT_REST = ["tradeoff", "rectangle", "--processes", "1", "--gravity", "0", "--spacings", "250,200,150", "--vary", "none"]
+AT_REST = ["tradeoff", "rectangle", "--gravity", "0", "--spacings", "250,200,150", "--vary", "none"]
+
+
+def in_this_process(requests, folder, **_):
+    """What `run_series` does, without processes: those are tested in test_measured_run.py and take seconds to start."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return [measure(request, folder) for request in requests]
 
 
 def test_command_measures_once_and_goes_on_from_what_is_there(tmp_path, capsys):
     folder = tmp_path / "out"
-    assert main([*AT_REST, "-o", str(folder), "--tolerance", "5"]) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cloth_sim_ros.tradeoff_command.run_series", in_this_process)
+        assert main([*AT_REST, "-o", str(folder), "--tolerance", "5"]) == 0
     out = capsys.readouterr().out
     facts = json.loads((folder / "tradeoff.json").read_text())
     assert out.splitlines()[-1] == facts["advice"]
