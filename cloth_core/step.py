@@ -93,7 +93,9 @@ def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, work: 
     if terms.air_drag != 0.0:
         air_drag_forces(work.v, terms.mass, terms.air_drag, work.force)
     spring_forces(work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch)
-    bending_forces(work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch)
+    bending_forces(
+        work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
+    )
     if terms.seam.pairs.shape[0] > 0:
         seam_forces(work.x, work.v, terms.seam, openness, work.force)
 
