@@ -5,8 +5,8 @@ spacings, for classes of fabric and sizes of garments, and the factor by which e
 is an upper quantile: typical error times factor, and never less than the spread of drapes that are equally right.
 
 Between its rows the table is read as a power law, that is linearly in the logarithms of spacing and area. It is not
-read beyond them: a finer spacing than any calibrated is promised what the finest one is, a coarser one nothing, and a
-garment outside the range of areas counts as the nearest one.
+read beyond them: a spacing coarser than any calibrated is promised nothing, and neither is a finer one, for refining
+was not found to converge; a garment outside the range of areas counts as the nearest one.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Calibration:
 
         Without a cloth: the largest promise over all classes and sizes.
         """
-        if spacing > self.spacings[-1] * (1.0 + 1e-9):
+        if not self.spacings[0] * (1.0 - 1e-9) <= spacing <= self.spacings[-1] * (1.0 + 1e-9):
             return None
         curve = np.exp(np.interp(math.log(spacing), np.log(self.spacings), np.log(self._curve(cloth))))
         return max(float(curve) * self.factor, self.spread)

@@ -26,7 +26,7 @@ class Settings:
     Attributes:
         spacing: particle spacing [m].
         tolerance: largest error asked for [m], if one was.
-        expected_error: RMS distance to the converged drape that is promised [m], None where nothing is measured.
+        expected_error: promised RMS distance to the reference drape of the source [m], None where nothing is measured.
         expected_error_source: where that promise comes from.
         time_step: [s]; None takes `safety` times the stable one. A longer one than that is cut into sub-steps.
         safety: share of the stable time step that is used.

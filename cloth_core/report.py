@@ -25,7 +25,7 @@ class Report:
         settled: whether it is at rest; rest_reason: by which criterion, or why it ended without rest.
         max_strain: largest extension of a structural spring; mean_strain: mean magnitude over all of them.
         max_shear_strain: largest extension of a shear spring.
-        expected_error: RMS distance to the converged drape that is promised [m], null where nothing is measured.
+        expected_error: promised RMS distance to the reference drape of the source [m], null where nothing is measured.
         expected_error_source: where that expectation comes from.
         strain_limit: of the fabric; a larger max_strain gives a warning.
         max_seam_gap: largest distance of two points to be sewn [m].

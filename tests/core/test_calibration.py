@@ -31,6 +31,8 @@ def table(**changes):
     return Calibration.from_dict(values | changes)
 
 
+FINEST = float(calibration().spacings[0])
+"""Finest spacing of the table that comes with the package [m]."""
 SMALL_LIMP, LARGE_LIMP = Cloth(0.5, "limp"), Cloth(2.0, "limp")
 
 
@@ -47,7 +49,7 @@ def test_between_rows_a_power_law_is_met_exactly():
 
 
 def test_nothing_is_promised_beyond_what_was_measured():
-    assert table().promise(0.002, SMALL_LIMP) == table().promise(0.01, SMALL_LIMP)
+    assert table().promise(0.0099, SMALL_LIMP) is None
     assert table().promise(0.0401, SMALL_LIMP) is None
     # A garment smaller or larger than any measured counts as the nearest one.
     assert table().promise(0.02, Cloth(0.01, "limp")) == table().promise(0.02, SMALL_LIMP)
@@ -127,10 +129,10 @@ def test_scene_of_each_quality_states_what_to_expect_of_its_garment_and_fabric(q
 
 def test_tolerance_takes_the_spacing_of_the_table_and_keeps_its_promise():
     cloth = Cloth(0.6, "limp")
-    tolerance = 1.1 * calibration().promise(0.02, cloth)
+    tolerance = 1.1 * calibration().promise(FINEST, cloth)
     settings = settings_for(tolerance=tolerance, cloth=cloth)
     assert settings.spacing == calibration().spacing(tolerance, cloth)
-    assert settings.spacing >= 0.02
+    assert settings.spacing >= FINEST
     assert settings.expected_error <= tolerance * (1 + 1e-9)
 
 
@@ -142,12 +144,14 @@ def test_what_no_setting_can_promise_takes_the_finest_and_is_said():
 
 @pytest.mark.parametrize("changed", [{"contact_offset": 0.005}, {"rest_displacement": 0.01}, {"safety": 0.5}])
 def test_nothing_is_promised_for_settings_that_were_not_calibrated(changed):
-    settings = with_expected_error(Settings(spacing=0.02, **changed))
+    settings = with_expected_error(Settings(spacing=FINEST, **changed))
     assert settings.expected_error is None
     assert settings.expected_error_source == NOT_MEASURED
 
 
 def test_spacing_by_hand_gets_the_promise_of_the_table():
-    assert with_expected_error(Settings(spacing=0.02)).expected_error == calibration().promise(0.02)
-    assert with_expected_error(Settings(spacing=0.02, max_time=3.0)).expected_error == calibration().promise(0.02)
+    promise = calibration().promise(FINEST)
+    assert promise > 0.0
+    assert with_expected_error(Settings(spacing=FINEST)).expected_error == promise
+    assert with_expected_error(Settings(spacing=FINEST, max_time=3.0)).expected_error == promise
     assert with_expected_error(Settings(spacing=0.5)).expected_error is None
