@@ -40,6 +40,7 @@ TEST = [
     "colcon-ros>=0.5",
     "setuptools>=64",
 ]
+PLOTS = ["matplotlib>=3.7"]
 LINT = ["mypy>=1.10", "ruff>=0.5"]
 
 setup(
@@ -68,7 +69,7 @@ setup(
     ],
     zip_safe=False,
     install_requires=RUNTIME,
-    extras_require={"ros": ROS, "test": TEST, "lint": LINT},
+    extras_require={"ros": ROS, "plots": PLOTS, "test": [*TEST, *PLOTS], "lint": LINT},
     entry_points={
         "console_scripts": [
             "cloth-sim = cloth_sim_ros.command_line:main",

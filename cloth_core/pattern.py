@@ -115,6 +115,11 @@ class Pattern:
     source: str = field(default="", repr=False)
     layers: tuple[Pattern, ...] = ()
 
+    @property
+    def area(self) -> float:
+        """Of all panels [m^2]."""
+        return sum(abs(panel.area) for panel in self.panels.values())
+
     file_suffix: ClassVar[str] = "_specification"  # that GarmentCode adds to the name of a pattern file
 
     @classmethod

@@ -74,6 +74,13 @@ def _scene_options(command: Command) -> Command:
             help="Air drag k_a: deceleration per velocity.",
         ),
         click.option(
+            "--without",
+            multiple=True,
+            metavar="TERM",
+            help="Switches a term off by hand, for example 'self contact'; the report says what the run then lacks. "
+            "May be given several times.",
+        ),
+        click.option(
             "--max-time",
             type=Quantity("s", above=True),
             help="Simulated time after which a run is given up that has not come to rest.  [default: 20]",
@@ -281,6 +288,31 @@ def recover(broken: str, output: Path) -> None:
     click.echo(f"wrote {output}: {found.messages} messages of {found.duration:.3f} s in {found.chunks} chunks; {state}")
 
 
+@cli.command()
+@_scene_options
+@click.option("--output", "-o", metavar="DIR", required=True, help="Directory of the results; a rerun goes on in it.")
+@click.option(
+    "--spacings",
+    metavar="MM,MM,...",
+    help="Particle spacings to try, at least three; the finest is the reference.  [default: 40,30,25,20,15,12.5,10]",
+)
+@click.option(
+    "--vary",
+    metavar="NAME,...",
+    help="Settings to vary besides the spacing: safety, contact, push, rest, drag; 'none' for none.  [default: all]",
+)
+@click.option("--processes", type=click.IntRange(1, 1024), help="Runs at once.  [default: one for each core]")
+def tradeoff(patterns: tuple[str, ...], **options: Any) -> None:
+    """Measures cost against error over settings for PATTERN, and says which is the cheapest that is good enough.
+
+    Writes tradeoff.json, tradeoff.md and (with matplotlib) tradeoff.png. Can be stopped with Ctrl-C at any time and
+    goes on with the same command. --tolerance is the error that the advice is for.
+    """
+    from cloth_sim_ros.tradeoff_command import run_tradeoff
+
+    run_tradeoff(patterns, **options)
+
+
 # Parts of commands
 
 
@@ -303,6 +335,7 @@ def _prepare(
     gravity: float,
     air_drag: float,
     max_time: float | None,
+    without: tuple[str, ...],
 ) -> tuple[list[Pattern], Simulation, dict[str, object]]:
     """The patterns, a simulation of their scene, and the parameters that repeat it."""
     if quality is not None and tolerance is not None:
@@ -320,15 +353,18 @@ def _prepare(
     parameters = SceneParameters(
         fabric=fabric, quality=quality or "normal", tolerance=tolerance or 0.0, gravity=gravity, air_drag=air_drag
     )
-    settings = parameters.settings()
-    if max_time is not None:
-        settings = replace(settings, max_time=max_time)
     chosen_fabric = Fabric.preset(fabric)
     patterns = [Pattern.load(name) for name in names]
+    settings = parameters.settings(*patterns)
+    if max_time is not None:
+        settings = replace(settings, max_time=max_time)
     chosen_body = None if body is None else Body.load(body)
     display.step("preparing the scene (the first run after an installation compiles, which takes longer)")
-    scene = Scene.build(patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag)
-    return patterns, ScheduledSimulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
+    scene = Scene.build(
+        patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag, without=without
+    )
+    values = {**parameters.to_dict(), "settings": asdict(settings), "without": without}
+    return patterns, ScheduledSimulation(scene), values
 
 
 def _recorder(
@@ -450,10 +486,9 @@ def _write_results(
 def _explanation(simulation: Simulation) -> dict[str, Any]:
     """`Simulation.describe` and the cost of a step, measured on copies of the start."""
     facts = simulation.describe()
-    terms = simulation.report().terms
-    per_step = 1e-6 * sum(term["microseconds_per_step"] or 0.0 for term in terms.values())
+    per_step = 1e-6 * sum(term["microseconds_per_step"] or 0.0 for term in facts["terms"].values())
     per_second = per_step / facts["time_step"]
-    return {**facts, "terms": terms, "seconds_per_step": per_step, "seconds_per_simulated_second": per_second}
+    return {**facts, "seconds_per_step": per_step, "seconds_per_simulated_second": per_second}
 
 
 def _warn(lines: Iterable[str]) -> None:
