@@ -55,13 +55,14 @@ class ContactSettings(NamedTuple):
 
     Attributes:
         active: whether there is anything to collide with.
-        body_vertices (b, 3) [m], body_triangles (t, 3): empty without a body.
+        body_vertices (b, 3) [m], body_velocity (b, 3) [m/s], body_triangles (t, 3): empty without a body.
         offset: distance of cloth vertices from the body [m].
         friction: Coulomb coefficient; push_speed: fastest way out for what is too near [m/s].
     """
 
     active: bool
     body_vertices: Floats
+    body_velocity: Floats
     body_triangles: Ints
     offset: float
     friction: float
@@ -137,10 +138,11 @@ def resolve_contacts(
     repeat_impulses(x, v, inverse_mass, state.pairs, dt)
     spent = keep_within_travel(x, state, moved)
     hold_vertices(
-        x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_triangles, settings.offset,
-        settings.friction, settings.push_speed, dt,
+        x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_velocity, settings.body_triangles,
+        settings.offset, settings.friction, settings.push_speed, dt,
     )  # fmt: skip
     hold_pairs(
-        x, v, inverse_mass, state.pairs, settings.body_vertices, settings.friction, settings.push_speed, dt, moved
-    )
+        x, v, inverse_mass, state.pairs, settings.body_vertices, settings.body_velocity, settings.friction,
+        settings.push_speed, dt, moved,
+    )  # fmt: skip
     return spent

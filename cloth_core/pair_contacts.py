@@ -42,6 +42,7 @@ class PairContacts(NamedTuple):
         distance: at the search [m], (s,).
         weight: where the closest point lies between the particles, (s, 3).
         normal: unit vector from body to cloth, (s, 3).
+        velocity: of the body at the closest point [m/s], (s, 3).
         gap: distance to the offset before the step [m], (s,).
         impulse: what the contact gave in the last step along the normal [N s], (s,).
         friction: the same across the normal [N s], (s, 3).
@@ -55,6 +56,7 @@ class PairContacts(NamedTuple):
     distance: Floats
     weight: Floats
     normal: Floats
+    velocity: Floats
     gap: Floats
     impulse: Floats
     friction: Floats
@@ -69,6 +71,7 @@ class PairContacts(NamedTuple):
             kind, particles, body, offset, distance,
             weight=np.zeros((count, 3)),
             normal=np.zeros((count, 3)),
+            velocity=np.zeros((count, 3)),
             gap=np.zeros(count),
             impulse=np.zeros(count),
             friction=np.zeros((count, 3)),
@@ -103,6 +106,7 @@ def hold_pairs(
     inverse_mass: Floats,
     pairs: PairContacts,
     body_x: Floats,
+    body_v: Floats,
     friction: float,
     push_speed: float,
     dt: float,
@@ -110,10 +114,10 @@ def hold_pairs(
 ) -> None:
     """Hold all pairs apart after a step, in place.
 
-    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,); body_x (b, 3) [m]; moved (n,), way of each particle since the
-    search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near comes out.
+    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,); body_x, body_v (b, 3) [m, m/s]; moved (n,), way of each particle
+    since the search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near leaves.
     """
-    count = _find_active(x, v, pairs, body_x, dt, moved)
+    count = _find_active(x, v, pairs, body_x, body_v, dt, moved)
     velocity = np.zeros(3)
     impulse = np.zeros(3)
     for _ in range(_SWEEPS if count > 0 else 0):
@@ -158,7 +162,9 @@ def hold_pairs(
 
 
 @kernel
-def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: float, moved: Floats) -> int:
+def _find_active(
+    x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, body_v: Floats, dt: float, moved: Floats
+) -> int:
     """Measure the pairs that can have come near; list those in contact, with weights, normal and gap."""
     count = 0
     closest = np.zeros(3)
@@ -168,7 +174,7 @@ def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: 
         reach = _REACH * pairs.offset[s]
         squared = np.inf
         if pairs.distance[s] - reach <= _way(pairs, s, moved):
-            squared = _measure(x, pairs, s, body_x, closest)
+            squared = _measure(x, pairs, s, body_x, body_v, closest)
         if squared >= reach * reach or squared < 1e-24:
             pairs.impulse[s] = 0.0
             for axis in range(3):
@@ -193,8 +199,10 @@ def _way(pairs: PairContacts, s: int, moved: Floats) -> float:
 
 
 @kernel
-def _measure(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats) -> float:
-    """Squared distance of pair s [m^2]; sets its weights and the vector between its closest points, closest (3,)."""
+def _measure(x: Floats, pairs: PairContacts, s: int, body_x: Floats, body_v: Floats, closest: Floats) -> float:
+    """Squared distance of pair s [m^2]; sets its weights, the body's velocity there and the vector between its closest
+    points, closest (3,).
+    """
     p, q, r = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2]
     a, b = pairs.body[s, 0], pairs.body[s, 1]
     along = 0.0
@@ -212,6 +220,7 @@ def _measure(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Fl
         if b >= 0:
             value -= along * (body_x[b, axis] - body_x[a, axis])
         closest[axis] = value
+        pairs.velocity[s, axis] = body_v[a, axis] + (along * (body_v[b, axis] - body_v[a, axis]) if b >= 0 else 0.0)
     return float(squared)
 
 
@@ -227,10 +236,10 @@ def _compliance(inverse_mass: Floats, pairs: PairContacts, s: int) -> float:
 
 @kernel
 def _relative_velocity(v: Floats, pairs: PairContacts, s: int, velocity: Floats) -> float:
-    """Velocity of the cloth at the closest point, velocity (3,); returns its part along the normal [m/s]."""
+    """Velocity of cloth relative to body at the closest point, velocity (3,); returns its normal part [m/s]."""
     normal = 0.0
     for axis in range(3):
-        velocity[axis] = 0.0
+        velocity[axis] = -pairs.velocity[s, axis]
         for k in range(3):
             if pairs.particles[s, k] >= 0:
                 velocity[axis] += pairs.weight[s, k] * v[pairs.particles[s, k], axis]
