@@ -97,6 +97,9 @@ class Grasps:
     def __bool__(self) -> bool:
         return bool(self._grippers)
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._grippers
+
     def steps(self, count: int) -> int:
         """How many of `count` steps may be done before velocities are prescribed anew."""
         moving = any(gripper.pose is not gripper.goal for gripper in self._grippers.values())

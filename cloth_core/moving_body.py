@@ -30,7 +30,7 @@ Ints = NDArray[np.int32]
 # Share of a gap that the body may use between two searches; the cloth's is below one half too.
 _BODY_SHARE = 0.45
 # The body comes no nearer to cloth than this [m].
-_LEAST_GAP = 1e-5
+_LEAST_GAP = 0.0005
 # No search is made for more than this much of the motion at once, so that it looks smooth [s].
 _LONGEST_TIME = 1.0 / 240.0
 _STEPS_AHEAD = 8

@@ -3,25 +3,32 @@
 import json
 import signal
 import sys
+from array import array
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import rclpy
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.qos import qos_profile_sensor_data
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
-from cloth_core.errors import ClothError, PatternError
+from cloth_core.errors import ClothError, PatternError, SceneError
+from cloth_core.grasp import Pose
 from cloth_core.pattern import MAX_TEXT_BYTES
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
-from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
+from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
 from cloth_sim_ros.worker import SimulationWorker
 
 __all__ = ["ClothSimNode", "main"]
@@ -58,7 +65,11 @@ def main(args: list[str] | None = None) -> None:
 
 
 def _descriptor(parameter: NodeParameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=parameter.description, additional_constraints=parameter.constraints)
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        additional_constraints=parameter.constraints,
+        read_only=parameter.read_only,
+    )
     if parameter.lowest is not None and parameter.highest is not None:
         if isinstance(parameter.default, float):
             float_range = FloatingPointRange(from_value=parameter.lowest, to_value=parameter.highest)
@@ -86,7 +97,8 @@ class ClothSimNode(Node):
         )
         self._create_subscriptions()
         self._create_services()
-        self.create_timer(DIAGNOSTICS_PERIOD, self._worker.diagnose)
+        # By the wall clock, also where use_sim_time is set and time stands still.
+        self.create_timer(DIAGNOSTICS_PERIOD, self._worker.diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._load_builtins({name: values[name] for name in ("body", "pattern")})
 
     def close(self) -> None:
@@ -110,7 +122,7 @@ class ClothSimNode(Node):
 
     def _create_publishers(self) -> None:
         self._publishers_of: dict[Topic, Publisher] = {}
-        for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS):
+        for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS, CLOCK):
             message_class = MESSAGE_CLASSES[topic.message_type]
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             self._publishers_of[topic] = self.create_publisher(message_class, name, qos_profile(topic.qos))
@@ -119,6 +131,11 @@ class ClothSimNode(Node):
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
             message_class = MESSAGE_CLASSES[topic.message_type]
             self.create_subscription(message_class, f"~/{topic.name}", callback, qos_profile(topic.qos), raw=True)
+        for name in self._values["grippers"]:
+            # Only the last pose counts, so that a stream of them may be sent as sensors do, with best effort.
+            self.create_subscription(
+                PoseStamped, f"~/{name}/pose", partial(self._on_gripper_pose, name), qos_profile_sensor_data
+            )
 
     def _create_services(self) -> None:
         worker = self._worker
@@ -129,8 +146,11 @@ class ClothSimNode(Node):
             "step": worker.step,
             "drape": worker.drape,
             "save": worker.save,
-            "describe": lambda: json.dumps(worker.describe()),
+            "describe": lambda: json.dumps(self._describe()),
         }
+        for name in self._values["grippers"]:
+            commands[f"{name}/grasp"] = partial(worker.grasp, name)
+            commands[f"{name}/release"] = partial(worker.release, name)
         for name, command in commands.items():
             self.create_service(Trigger, f"~/{name}", self._trigger(command))
         self.create_service(SetBool, "~/record", self._on_record)
@@ -150,6 +170,21 @@ class ClothSimNode(Node):
             self._worker.load_body(*decode_mesh(data, self._values["max_triangles"]))
         except ClothError as error:
             self._worker.refuse(f"body refused: {error}")
+
+    def _on_gripper_pose(self, name: str, message: Any) -> None:
+        frame_id, expected = message.header.frame_id, self._values["frame_id"]
+        try:
+            if frame_id not in ("", expected):
+                raise SceneError(f"its frame is '{frame_id}', not '{expected}'; transform it before it is sent")
+            p, q = message.pose.position, message.pose.orientation
+            self._worker.move_gripper(name, Pose.of((p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
+        except ClothError as error:
+            self._worker.refuse(f"{name}/pose refused: {error}")
+
+    def _describe(self) -> dict[str, Any]:
+        values = {name: list(value) if isinstance(value, array) else value for name, value in self._values.items()}
+        table = {parameter.name: parameter.to_dict(values[parameter.name]) for parameter in PARAMETERS}
+        return {**self._worker.describe(), "node_parameters": table}
 
     def _trigger(self, command: Callable[[], str]) -> Callable[[Any, Any], Any]:
         return lambda _, response: self._answer(command, response)

@@ -45,6 +45,11 @@ class Outlet:
         log = self._log
         return None if log is None else log.path
 
+    @property
+    def last_stamp(self) -> int:
+        """Time of the last message [ns since 1970]; now, if there is none."""
+        return self._last_stamp or time.time_ns()
+
     def next_start(self) -> int:
         """Stamp [ns since 1970] at which another run can start: now, but after all that has been sent."""
         return max(time.time_ns(), self._last_stamp + 1)

@@ -11,7 +11,7 @@ from cloth_core.errors import ClothError
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
-from cloth_sim_ros.scene_inputs import Limits, SceneInputs, SceneParameters, build_scene
+from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters, build_scene
 
 __all__ = ["Change", "Run", "SceneBuilder"]
 
@@ -58,6 +58,7 @@ class SceneBuilder:
         self._closing = False
         self._changes: dict[str, Change] = {}
         self._rebuild = False
+        self._busy = False
         self._busy_with_garment = False
         self._inputs = SceneInputs(parameters=parameters)
         self._present: Run | None = None
@@ -75,6 +76,20 @@ class SceneBuilder:
         with self._wake:
             self._changes[kind] = change
             self._wake.notify()
+
+    def body_has_moved(self, find: Callable[[ReceivedBody], ReceivedBody | None]) -> ReceivedBody | None:
+        """Replaces the body of the present run by what `find` makes of it, without another run.
+
+        None, and nothing done, if `find` says so, there is no body, or another scene is being built or waits to be.
+        """
+        with self._wake:
+            before, present = self._inputs.body, self._present
+            if before is None or present is None or self._busy or self._changes or self._rebuild:
+                return None
+            moved = find(before)
+            if moved is not None:
+                self._inputs = replace(self._inputs, body=moved)
+            return moved
 
     def rebuild(self) -> None:
         """Asks for the present garment at its start, with the parameters as they are then."""
@@ -97,10 +112,11 @@ class SceneBuilder:
                     return
                 changes, self._changes = self._changes, {}
                 self._rebuild = False
+                self._busy = True
                 self._busy_with_garment = self._inputs.pattern is not None or "pattern" in changes
             refusals = self._accept(list(changes.items()))
             with self._wake:
-                self._busy_with_garment = False
+                self._busy = self._busy_with_garment = False
             for line in refusals:
                 self._refused(line)
 
