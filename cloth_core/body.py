@@ -15,6 +15,7 @@ from cloth_core.closest_points import point_triangle
 from cloth_core.errors import BodyError
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import Representatives, representatives, unique_edges
+from cloth_core.unique_rows import unique_rows
 
 __all__ = ["Body", "builtin_bodies"]
 
@@ -111,7 +112,7 @@ class Body:
         if flat.any():
             repairs["zero-area triangles dropped"] = int(flat.sum())
             index = index[~flat]
-        _, first = np.unique(np.sort(index, axis=1), axis=0, return_index=True)
+        first = unique_rows(np.sort(index, axis=1)).first
         if len(first) < len(index):
             repairs["duplicate triangles dropped"] = len(index) - len(first)
             index = index[np.sort(first)]

@@ -1,5 +1,6 @@
 """The ROS 2 node: topics, services and parameters around a `SimulationWorker`."""
 
+import gc
 import json
 import signal
 import sys
@@ -53,6 +54,9 @@ def main(args: list[str] | None = None) -> None:
     except (ClothError, ParameterException) as error:
         rclpy.shutdown()
         sys.exit(f"cloth_sim_node: {error}")
+    # What has been imported stays: a full collection need not look at it, which would halt all threads for 0.1 s.
+    gc.collect()
+    gc.freeze()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
