@@ -2,6 +2,7 @@
 
 import gc
 import json
+import os
 import signal
 import sys
 from array import array
@@ -48,6 +49,8 @@ def main(args: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, lambda *_: None)
     # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
     sys.setswitchinterval(SWITCH_INTERVAL)
+    # Otherwise whoever publishes sends by itself, and waits for a slow reliable subscriber with all threads of Python.
+    os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
     rclpy.init(args=args)
     try:
         node = ClothSimNode()
