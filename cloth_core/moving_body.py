@@ -3,7 +3,7 @@
 Between two searches for contacts the body stands still for distances and moves for velocities: contacts remove the
 cloth's velocity *relative* to the body. At each search its vertices are taken on by the way of the time since the last
 one. So that this way cannot cross the cloth, the time between two searches is bounded: cloth may use one half of a gap
-(`halved_travel`), the body the other half (`safe_time`). Where cloth is pinched, so that not even one time step is
+(`BodyMotion.found`), the body the other half. Where cloth is pinched, so that not even one time step is
 safe, the body waits: it comes late rather than through the cloth.
 """
 
@@ -22,7 +22,7 @@ from cloth_core.errors import BodyError
 from cloth_core.kernel import kernel
 from cloth_core.pair_contacts import PairContacts
 
-__all__ = ["BodyMotion", "halved_travel", "with_vertices"]
+__all__ = ["BodyMotion", "with_vertices"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -33,8 +33,6 @@ _BODY_SHARE = 0.45
 _LEAST_GAP = 0.0005
 # No search is made for more than this much of the motion at once, so that it looks smooth [s].
 _LONGEST_TIME = 1.0 / 240.0
-_STEPS_AHEAD = 8
-_MOST_REACH = 0.03
 
 
 class BodyMotion:
@@ -98,30 +96,25 @@ class BodyMotion:
         self.body = with_vertices(self.body, vertices)
         return self.body
 
-    def reach(self, dt: float) -> float:
-        """How much farther a search has to look [m], so that the body may move for several steps of dt [s]."""
-        return min(_STEPS_AHEAD * dt * self._highest_speed, _MOST_REACH)
-
-    def found(self, x: Floats, contacts: ContactState, clear: float) -> None:
-        """Notes what a search found: how long the body may move until the next one.
+    def found(self, x: Floats, contacts: ContactState, offset: float) -> ContactState:
+        """Notes how long the body may move after a search; returns its contacts with half of the travel.
 
         Args:
             x: positions at the search [m], shape (n, 3).
-            contacts: what it found, with halved travel.
-            clear: how far away whatever it did not find is, beyond the cloth's travel [m].
+            contacts: what it found; its contact planes are those of where the body was, and are computed anew.
+            offset: distance at which cloth is held from the body [m].
         """
+        planes, pairs = contacts.planes, contacts.pairs
+        planes.plane_count[:] = -1
         safe = _safe_time(
-            x, contacts.planes.start, contacts.planes.body_triangle, contacts.pairs, self.body.vertices,
-            self.body.triangles, self._speed,
-        )  # fmt: skip
+            x, planes.start, planes.body_triangle, pairs, self.body.vertices, self.body.triangles, self._speed
+        )
         if self._highest_speed > 0.0:
+            # What is not listed is farther apart than half the offset beyond the reach of the cloth.
+            clear = 0.5 * offset + 0.5 * float(contacts.travel.min())
             safe = min(safe, clear / self._highest_speed)
         self._safe_time = min(_BODY_SHARE * safe, _LONGEST_TIME)
-
-
-def halved_travel(contacts: ContactState) -> ContactState:
-    """The same contacts with half the travel: the body may use the other half."""
-    return contacts._replace(travel=0.5 * contacts.travel)
+        return contacts._replace(travel=0.5 * contacts.travel)
 
 
 def with_vertices(body: Body, vertices: Floats) -> Body:
@@ -156,11 +149,12 @@ def _safe_time(
             if fastest > 0.0:
                 squared = point_triangle(x[i], body_x[a], body_x[b], body_x[c])[0]
                 shortest = min(shortest, max(np.sqrt(squared) - _LEAST_GAP, 0.0) / fastest)
-    for s in range(pairs.kind.shape[0]):
+    for entry in range(pairs.listed_count[0]):
+        s = pairs.listed[entry]
         a, b = pairs.body[s, 0], pairs.body[s, 1]
         if a < 0:
             continue
         fastest = max(speed[a], speed[b]) if b >= 0 else speed[a]
         if fastest > 0.0:
-            shortest = min(shortest, max(pairs.distance[s] - _LEAST_GAP, 0.0) / fastest)
+            shortest = min(shortest, max(pairs.listed_distance[entry] - _LEAST_GAP, 0.0) / fastest)
     return shortest

@@ -246,7 +246,7 @@ def _conforms(points: Floats, triangles: Ints, outline_count: int, area: float) 
         return False
     sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     unique = unique_rows(sides)
-    free = unique.rows[unique.count == 1]
+    free = unique.rows[unique.counts == 1]
     ring = np.arange(outline_count)
     expected = np.unique(np.sort(np.stack([ring, (ring + 1) % outline_count], 1), axis=1), axis=0)
-    return bool(unique.count.max() <= 2 and free.shape == expected.shape and (free == expected).all())
+    return bool(unique.counts.max() <= 2 and free.shape == expected.shape and (free == expected).all())

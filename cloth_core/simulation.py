@@ -17,14 +17,14 @@ from cloth_core.errors import SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
-from cloth_core.moving_body import BodyMotion, halved_travel
+from cloth_core.moving_body import BodyMotion
 from cloth_core.quality import EXPECTED_ERROR_SOURCE
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
-from cloth_core.step import run_steps
+from cloth_core.step import Workspace, run_steps
 from cloth_core.term_cost import term_costs
 
 __all__ = ["Progress", "Simulation"]
@@ -41,6 +41,9 @@ _CHECK_INTERVAL = 1.0 / 60.0
 # Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH, _MOST_REACH = 0.001, 0.006
+# Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
+_SEWING_INTERVAL = 0.05
+_STALLED = 0.9
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -94,6 +97,8 @@ class Simulation:
         self._warnings: list[str] = []
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
+        self._widest_gap = math.inf
+        self._next_sewing = 0.0
         self._speed = 0.0
         self.grasps = Grasps()
         self._body_motion: BodyMotion | None = None
@@ -254,6 +259,7 @@ class Simulation:
     def _advance_body(self, elapsed: float) -> None:
         assert self._body_motion is not None
         assert self.model.contact is not None
+        assert self.model.contact.body is not None
         body = self._body_motion.advance(elapsed)
         self.scene = self.model.scene = replace(self.scene, body=body)
         self.model.contact.body.body = body
@@ -278,7 +284,7 @@ class Simulation:
                 self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * dt)
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
             did = run_steps(
-                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._contacts, dt,
+                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, dt,
                 steps, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
@@ -316,7 +322,7 @@ class Simulation:
         self._v = model.gather(unsewn_v, weight)
         self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
-        self._force = np.zeros_like(self._x)
+        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
@@ -353,14 +359,10 @@ class Simulation:
         assert self.model.contact is not None
         speed = np.sqrt((self._v**2).sum(axis=1))
         reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, _MOST_REACH)
-        if self._body_motion is not None:
-            reach += self._body_motion.reach(self._dt)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
         if self._body_motion is not None:
-            self._contacts = halved_travel(self._contacts)
-            clear = self.model.contact.body.side_offset + 0.5 * float(reach.min())
-            self._body_motion.found(self._x, self._contacts, clear)
+            self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
 
     def _contacts_spent(self) -> bool:
         return bool((self._moved > 0.8 * self._contacts.travel).any())
@@ -383,17 +385,24 @@ class Simulation:
         )
 
     def _sew(self) -> None:
-        """Merge the seams once all are closed, or the time for sewing is over."""
+        """Merge the seams once all are closed, or no longer get narrower, or the time for sewing is over."""
         settings = self.scene.settings
-        if self.time < settings.closing_time:
+        if self.time < max(settings.closing_time, self._next_sewing):
             return
+        self._next_sewing = self.time + _SEWING_INTERVAL
         gaps = seam_gaps(self.scene.garment, self.positions)
+        widest, before = max(gaps.values()), self._widest_gap
+        self._widest_gap = widest
         late = self.time >= settings.sewing_time
-        if max(gaps.values()) > settings.seam_tolerance and not late:
+        if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return
-        # A tight garment pulls its last millimetres open again; merging the points closes them.
-        model = self._merged(gaps, settings.merge_distance if late else settings.seam_tolerance)
-        if late and self._crosses_body(model):
+        # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
+        model = self._merged(gaps, settings.merge_distance)
+        if (model.number != self.scene.garment.merged_indices).any() and not late:
+            return
+        if self._crossings(model) > self._crossings(self.model):
+            if not late:
+                return
             model = self._merged(gaps, settings.seam_tolerance)
         closed = {seam.name for seam in model.closed}
         self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
@@ -406,13 +415,17 @@ class Simulation:
         """The model in which all seams narrower than limit [m] are merged."""
         return Model(self.scene, closed=tuple(s for s in self.scene.garment.seams if gaps[s.name] <= limit))
 
-    def _crosses_body(self, model: Model) -> bool:
-        """Whether the present state, in a model's numbering, passes through the body anywhere."""
-        body = self.scene.body
-        if body is None:
-            return False
+    def _crossings(self, model: Model) -> int:
+        """Sides that pass through the body or the cloth when the present state is put into a model's numbering."""
         x = model.gather(self.positions, self.scene.garment.particle_areas)
-        return len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree)) > 0
+        # Triangles that will share a point once sewn are neighbours already.
+        identity = np.zeros(model.particle_count, dtype=np.int32)
+        identity[model.number] = self.scene.garment.merged_indices
+        crossings = len(self_crossing_edges(x, model.triangles, identity))
+        body = self.scene.body
+        if body is not None:
+            crossings += len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
+        return crossings
 
     def _open_window(self) -> None:
         self._window_x = self._x.copy()

@@ -21,13 +21,13 @@ class UniqueRows(NamedTuple):
         rows: sorted, first column first, (u, k).
         first: where each occurs first, (u,).
         inverse: which of them each given row is, (r,).
-        count: how often each occurs, (u,).
+        counts: how often each occurs, (u,).
     """
 
     rows: NDArray[np.integer]
     first: NDArray[np.int64]
     inverse: NDArray[np.int64]
-    count: NDArray[np.int64]
+    counts: NDArray[np.int64]
 
 
 def unique_rows(table: NDArray[np.integer]) -> UniqueRows:

@@ -175,7 +175,7 @@ def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
         "hinge_weights": np.zeros((0, 4)),
         "hinge_stiffness": np.zeros(0),
         "bending_damping_time": 0.0,
-        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), 0.0, 0.0, 0.0),
+        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0),
     }
     springs = len(given.get("spring_pairs", ()))
     values["strain_limit"] = StrainLimit(  # no spring has one

@@ -91,7 +91,7 @@ def test_a_body_waits_where_it_would_crush_cloth():
 def test_a_body_out_of_reach_arrives_in_time_and_changes_nothing():
     far = body_of(trimesh.creation.icosphere(1, radius=0.1), move=[2, 0, 0])
     still, moving = (on(far, sheet(0.1, 0.1, 0.05), gravity=0.0) for _ in range(2))
-    goal = far.vertices + np.array([0.0, 0.3, 0.1])
+    goal = far.vertices + np.array([0.0, 0.03, 0.01])
     moving.move_body(goal, 0.1)
     for simulation in (still, moving):
         simulation.advance(0.05)
@@ -108,11 +108,11 @@ def test_a_body_out_of_reach_arrives_in_time_and_changes_nothing():
 def test_a_second_call_takes_over_and_the_speed_limit_holds():
     ball = body_of(trimesh.creation.icosphere(1, radius=0.1), move=[2, 0, 0])
     simulation = on(ball, sheet(0.1, 0.1, 0.05), gravity=0.0)
-    simulation.move_body(ball.vertices + np.array([1.0, 0, 0]), 0.01, max_speed=1.0)
+    simulation.move_body(ball.vertices + np.array([1.0, 0, 0]), 0.01, max_speed=0.5)
     simulation.advance(0.1)
-    assert simulation.scene.body.vertices == pytest.approx(ball.vertices + np.array([0.1, 0, 0]), abs=6e-3)
-    simulation.move_body(ball.vertices, 0.05)
-    simulation.advance(0.1)
+    assert simulation.scene.body.vertices == pytest.approx(ball.vertices + np.array([0.05, 0, 0]), abs=3e-3)
+    simulation.move_body(ball.vertices, 0.1)
+    simulation.advance(0.15)
     assert (simulation.scene.body.vertices == ball.vertices).all()
 
 

@@ -207,7 +207,7 @@ def test_pull_is_a_limited_spring_that_shortens(openness):
     pairs = np.array([[0, 1], [2, 3], [4, 5], [6, 7]], dtype=np.int32)
     x[5] = x[4]  # closed already
     start = np.array([0.5, 2.0, 1.0, 0.1])
-    seam = SeamPull(pairs, start, stiffness=3.0, damping=0.2, largest_force=2.5)
+    seam = SeamPull(pairs, start, damping=np.full(len(pairs), 0.2), stiffness=3.0, largest_force=2.5)
     force = np.zeros_like(x)
     seam_forces(x, v, seam, openness, force)
     for (i, j), length0 in zip(pairs, start, strict=True):
