@@ -55,12 +55,15 @@ setup(
     packages=["cloth_core", "cloth_sim_ros"],
     package_data={
         "cloth_core": ["py.typed", "data/**/*"],
-        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*"],
+        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*", "foxglove/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *((f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*")) for folder in ("launch", "config", "rviz")),
+        *(
+            (f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*"))
+            for folder in ("launch", "config", "rviz", "foxglove")
+        ),
     ],
     zip_safe=False,
     install_requires=RUNTIME,
