@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import re
 import signal
 import sys
 from array import array
@@ -13,6 +14,7 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
@@ -21,6 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
@@ -30,6 +33,7 @@ from cloth_core.pattern import MAX_TEXT_BYTES
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
+from cloth_sim_ros.simulation_services import SimulationServices, import_types
 from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
 from cloth_sim_ros.worker import SimulationWorker
 
@@ -37,6 +41,10 @@ __all__ = ["ClothSimNode", "main"]
 
 DIAGNOSTICS_PERIOD = 1.0
 """Wall-clock time between two diagnostics [s]."""
+POLL_PERIOD = 0.01
+"""Between two looks at whether steps that were asked for are done [s]."""
+QUIT_DELAY = 0.2
+"""Between the answer to a request to quit and the end [s]."""
 SWITCH_INTERVAL = 0.001
 """Longest that a thread keeps the interpreter when others wait [s]."""
 
@@ -161,6 +169,45 @@ class ClothSimNode(Node):
         for name, command in commands.items():
             self.create_service(Trigger, f"~/{name}", self._trigger(command))
         self.create_service(SetBool, "~/record", self._on_record)
+        types = import_types()
+        if types is not None:
+            self._create_simulation_services(types)
+
+    def _create_simulation_services(self, types: Any) -> None:
+        services = SimulationServices(self._worker, types, self._quit_soon)
+
+        async def step(request: Any, response: Any) -> Any:
+            if services.begin_steps(request, response):
+                await self._once(services.steps_are_done)
+            return response
+
+        for kind, callback in (
+            (types.GetSimulatorFeatures, services.get_simulator_features),
+            (types.GetSimulationState, services.get_simulation_state),
+            (types.SetSimulationState, services.set_simulation_state),
+            (types.ResetSimulation, services.reset_simulation),
+            (types.StepSimulation, step),
+        ):
+            name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+            # A callback that waits locks its group, and must not lock that of all others.
+            self.create_service(kind, f"~/{name}", callback, callback_group=ReentrantCallbackGroup())
+
+    def _once(self, condition: Callable[[], bool]) -> Future:
+        """Done once the condition holds."""
+        future = Future()
+        timer = self.create_timer(
+            POLL_PERIOD,
+            lambda: condition() and not future.done() and (timer.cancel(), future.set_result(None)),
+            callback_group=ReentrantCallbackGroup(),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        future.add_done_callback(lambda _: self.destroy_timer(timer))
+        return future
+
+    def _quit_soon(self) -> None:
+        """Ends the context once the answer to the request for it has been sent."""
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(QUIT_DELAY, lambda: self.context.try_shutdown(), clock=clock)
 
     # -- callbacks -----------------------------------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 """Starts the simulator: ``ros2 launch cloth_sim_ros cloth_sim.launch.py rviz:=true``.
 
-Several side by side: give each a ``namespace``. To put the scene somewhere into the frames of a robot, name the frame to
-which it belongs, and where it is in that: ``parent_frame:=base_link x:=0.8 yaw:=1.57``.
+Several side by side: give each a ``namespace``. To put the scene somewhere into the frames of a robot, name the frame
+to which it belongs, and where it is in that: ``parent_frame:=base_link x:=0.8 yaw:=1.57``.
 """
 
 from pathlib import Path
