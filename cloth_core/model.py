@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.kernel import kernel
 from cloth_core.scene import Scene
-from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.self_contact import SelfContact
+from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
@@ -28,6 +28,8 @@ Ints = NDArray[np.int32]
 
 # Longest step where nothing stiff limits it [s]: gravity and contact are still sampled often enough.
 _LONGEST_STEP = 1.0 / 480.0
+# Structural stiffness that stands for none [N/m].
+_NEXT_TO_NONE = 1e-3
 # How far particles may move between two broad phases of contact: at most this [m], and this share of the particle
 # spacing, so that flat cloth has no candidates against itself.
 _SEARCH_RADIUS = 0.006
@@ -64,6 +66,7 @@ class Model:
         number: model particle of each unsewn particle, shape (n,).
         mass, inverse_mass: [kg, 1/kg], shape (k,).
         triangles: in model particles, shape (m, 3).
+        softness: what the structural springs' stiffness is multiplied by, 1 unless a run looks for rest.
         springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
         terms: all terms, with the reason why each is there or not.
     """
@@ -89,7 +92,11 @@ class Model:
         self.inverse_mass[self.number[scene.pins]] = 0.0
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
         self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
-        self._spring_runs = self.springs.runs()
+        self.softness = 1.0
+        self._stiffness = self.springs.stiffness
+        self._soft_stiffness: Floats | None = None
+        self._runs = self.springs.runs(self._stiffness)
+        self._spring_runs = self._runs.mixed(1.0)
         self._line_runs = (_NO_BENDING if self.bending is None else self.bending).line_runs()
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
@@ -103,6 +110,28 @@ class Model:
             radius=min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing),
         )
         self.terms = self._terms(closed)
+
+    def soften(self, softness: float) -> None:
+        """Multiply the structural stiffness by softness (0 to 1), but not to below twice that of the shear springs.
+
+        The largest frequency is that of the structural springs, which hardly stretch in a drape: a run that only looks
+        for the resting shape gets most of the way with soft ones and long steps. The strain limit is not softened.
+        """
+        garment, fabric = self.scene.garment, self.scene.fabric
+        weakest = min(fabric.structural_warp, fabric.structural_weft)
+        self.softness = softness = min(max(softness, 2.0 * fabric.shear / weakest), 1.0)
+        if softness < 1.0 and self._soft_stiffness is None:
+            # Stiffness is linear in the fabric's: between none and all of the structural one everything is a mixture.
+            soft = replace(fabric, structural_warp=_NEXT_TO_NONE, structural_weft=_NEXT_TO_NONE)
+            self._soft_stiffness = build_springs(garment, soft).renumbered(self.number).stiffness
+            self._runs = self.springs.runs(self._soft_stiffness)
+        stiffness = self.springs.stiffness
+        if self._soft_stiffness is not None:
+            stiffness = self._soft_stiffness + softness * (stiffness - self._soft_stiffness)
+        self._stiffness = stiffness
+        self._spring_runs = self._runs.mixed(softness)
+        if self.seam_pull is not None:
+            self.seam_pull = build_seam_pull(garment, fabric, garment.start, softness)
 
     # -- arrays for the compiled loop --
 
@@ -167,7 +196,7 @@ class Model:
         def parts(u: Floats) -> None:
             for out in (springs, bends, seams, seam_damping):
                 out[:] = 0.0
-            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self.springs.stiffness, springs)
+            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self._stiffness, springs)
             if self.bending is not None:
                 forces = np.zeros((3, len(x)))
                 bending_forces(

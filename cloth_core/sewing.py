@@ -42,18 +42,18 @@ class SeamPull(NamedTuple):
     largest_force: float
 
 
-def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats) -> SeamPull:
+def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats, softness: float = 1.0) -> SeamPull:
     """Seam springs of a garment at positions x (n, 3) [m].
 
     They are as stiff as the cloth itself, so that they do not shorten the time step, and pull at most as hard as a
-    stretch of the fabric by its strain limit would.
+    stretch of the fabric by its strain limit would; softness: what the cloth's own stiffness is multiplied by.
     """
     if garment.seams:
         both = np.concatenate([np.stack([s.first, s.second], 1) for s in garment.seams])
         pairs = np.unique(np.sort(both[both[:, 0] != both[:, 1]], axis=1), axis=0).astype(np.int32)
     else:
         pairs = np.zeros((0, 2), dtype=np.int32)
-    structural = 0.5 * (fabric.structural_warp + fabric.structural_weft)
+    structural = 0.5 * softness * (fabric.structural_warp + fabric.structural_weft)
     stiffness = 0.5 * structural
     mass = fabric.area_density * garment.particle_areas[pairs]
     reduced = mass[:, 0] * mass[:, 1] / np.maximum(mass.sum(axis=1), 1e-300)

@@ -44,6 +44,11 @@ _LEAST_REACH, _MOST_REACH = 0.001, 0.006
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _SEWING_INTERVAL = 0.05
 _STALLED = 0.9
+# Share of the structural stiffness on the way to rest; it grows to all of it in about this time [s] when movements are
+# this many times what counts as rest.
+_SOFTNESS = 1.0 / 16.0
+_STIFFENING_TIME = 0.1
+_NEARLY = 6.0
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -98,6 +103,8 @@ class Simulation:
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
         self._widest_gap = math.inf
+        self._kinetic_energy = 0.0
+        self._stiffening = False
         self._next_sewing = 0.0
         self._speed = 0.0
         self.grasps = Grasps()
@@ -167,10 +174,14 @@ class Simulation:
     def settle(self, on_tick: OnTick | None = None) -> Report:
         """Run until the cloth lies still (paper, step 5); on_tick may return True to stop early.
 
-        At rest means that within `rest_window` no particle has moved by more than `rest_displacement`.
-        Extra air drag (`settle_drag`) calms the swinging; the resting shape does not depend on it.
+        At rest means that within `rest_window` no particle has moved by more than `rest_displacement`. The way there is
+        not physical in time, only its end is the equilibrium: extra air drag (`settle_drag`) calms the swinging, and a
+        run from the start sews and drapes with soft structural springs first (`Model.soften`), which allows longer
+        steps, and gets their true stiffness when it is nearly at rest.
         """
         self._seeking_rest = True
+        if self.steps == 0:
+            self.model.soften(_SOFTNESS)
         self._refresh_time_step()
         reason = "stopped before it came to rest"
         while True:
@@ -189,6 +200,9 @@ class Simulation:
             if on_tick is not None and on_tick(self):
                 break
         self._seeking_rest = False
+        if self.model.softness < 1.0:
+            self.model.soften(1.0)
+            self._refresh_time_step()
         return self.report(reason)
 
     def reset(self) -> None:
@@ -300,6 +314,10 @@ class Simulation:
         self.steps += done
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
+        if self._seeking_rest and self.phase != SEWING:
+            self._calm()
+            if self._stiffening and self.model.softness < 1.0:
+                self._stiffen()
         if self.phase == SEWING:
             self._sew()
         elif self.time >= self._window_end:
@@ -315,6 +333,7 @@ class Simulation:
 
     def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
         """Take over a model and bring the state into its numbering, keeping momentum."""
+        softness = self.model.softness if hasattr(self, "model") else 1.0
         self.model = model
         garment = self.scene.garment
         weight = garment.particle_areas
@@ -324,6 +343,7 @@ class Simulation:
         self._v[model.inverse_mass == 0.0] = 0.0
         self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
+        model.soften(softness)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
@@ -436,6 +456,10 @@ class Simulation:
         settings = self.scene.settings
         movement = float(np.sqrt(((self._x - self._window_x) ** 2).sum(axis=1).max()))
         speed_limit = 2.0 * settings.rest_displacement / settings.rest_window
+        if self.model.softness < 1.0:
+            self._stiffening = movement <= _NEARLY * settings.rest_displacement
+            self._open_window()
+            return
         self.settled = movement <= settings.rest_displacement and self._largest_speed() <= speed_limit
         if self.settled:
             self.phase = REST
@@ -445,6 +469,21 @@ class Simulation:
         self._open_window()
         self._window_movement = movement
         self._movement_ratio = movement / last if last else None
+
+    def _calm(self) -> None:
+        """Kinetic damping (Cundall 1976): what swings is stopped where its kinetic energy is largest."""
+        energy = 0.5 * float((self.model.mass * (self._v**2).sum(axis=1)).sum())
+        if energy < self._kinetic_energy:
+            self._v[:] = 0.0
+            energy = 0.0
+        self._kinetic_energy = energy
+
+    def _stiffen(self) -> None:
+        """A little more of the true stiffness."""
+        growth = (1.0 / _SOFTNESS) ** (self._dt * _TICK_STEPS / _STIFFENING_TIME)
+        self.model.soften(self.model.softness * growth)
+        self._refresh_time_step()
+        self._open_window()
 
     _movement_ratio: float | None = None
 

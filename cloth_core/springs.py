@@ -62,9 +62,27 @@ class Springs:
         """
         return _combined(np.asarray(number[self.pairs], dtype=np.int32), self.rest_length, self.stiffness, self.family)
 
-    def runs(self) -> Runs:
-        """The springs as runs with the values (L0 [m], k [N/m])."""
-        return find_runs(self.pairs, np.stack([self.rest_length, self.stiffness], axis=1))
+    def runs(self, soft_stiffness: Floats) -> MixedRuns:
+        """The springs as runs whose stiffness is a mixture of soft_stiffness (s,) [N/m] and their own."""
+        return MixedRuns(find_runs(self.pairs, np.stack([self.rest_length, soft_stiffness, self.stiffness], axis=1)))
+
+
+@dataclass(frozen=True)
+class MixedRuns:
+    """Runs with the values (L0 [m], soft k [N/m], k [N/m])."""
+
+    all: Runs
+
+    def mixed(self, softness: float) -> Runs:
+        """The runs with the values (L0, soft k + softness * (k - soft k))."""
+        first, length, value, rest, rest_value = self.all
+        return Runs(first, length, _mixture(value, softness), rest, _mixture(rest_value, softness))
+
+
+def _mixture(value: Floats, softness: float) -> Floats:
+    soft, full = value[:, 1], value[:, 2]
+    stiffness = full if softness == 1.0 else soft + softness * (full - soft)
+    return np.ascontiguousarray(np.stack([value[:, 0], stiffness], axis=1))
 
 
 def build_springs(garment: Garment, fabric: Fabric) -> Springs:
