@@ -91,6 +91,11 @@ class Simulation:
         grasps: who holds which particles.
     """
 
+    model: Model
+    _x: Floats
+    _v: Floats
+    _contact_settings: ContactSettings
+
     def __init__(self, scene: Scene) -> None:
         self.scene = self._scene_at_start = scene
         self._wall = 0.0
@@ -109,7 +114,6 @@ class Simulation:
         self._speed = 0.0
         self.grasps = Grasps()
         self._body_motion: BodyMotion | None = None
-        self._contact_settings: ContactSettings
         garment = scene.garment
         self._use(Model(scene, sewing=bool(garment.seams)), garment.start, np.zeros_like(garment.start))
         self.phase = SEWING if scene.garment.seams else DRAPING
