@@ -79,6 +79,8 @@ class _Gripper:
     goal: Pose
     blocked: bool = False
     """Whether it stands still because its cloth is stretched."""
+    step: tuple[Floats, Floats] | None = None
+    """Way [m] and turn [rad] of the frame in the steps that are being done."""
     lag: float = 0.0
     """How far its cloth is from where it shall be, as when a body is in the way [m]."""
 
@@ -190,7 +192,8 @@ class Grasps:
         for gripper in self._grippers.values():
             held = model.number[gripper.particles]
             self._follow(gripper, model, x, v, held, span)
-            goal = Rotation.from_quat(gripper.pose.orientation).apply(gripper.local) + gripper.pose.position
+            next_pose = _moved(gripper.pose, gripper.step, 1.0)
+            goal = Rotation.from_quat(next_pose.orientation).apply(gripper.local) + next_pose.position
             behind = goal - x[held]
             gripper.lag = float(np.sqrt((behind**2).sum(axis=1).max()))
             velocity = behind / span
@@ -202,14 +205,20 @@ class Grasps:
             velocity *= np.minimum(1.0, limit / np.maximum(speed, 1e-300))[:, None]
             v[held] = velocity
 
+    def advance(self, share: float) -> None:
+        """Take the frames on by what was prescribed, or by a share of it if not all of the span has been simulated."""
+        for gripper in self._grippers.values():
+            gripper.pose = _moved(gripper.pose, gripper.step, share)
+            gripper.step = None
+
     def _follow(self, gripper: _Gripper, model: Model, x: Floats, v: Floats, held: Ints, span: float) -> None:
-        """Take a gripper's frame on towards its goal, as far as speed limit and cloth allow."""
+        """Choose a gripper's way towards its goal within a span [s], as far as speed limit and cloth allow."""
         here, goal = gripper.pose, gripper.goal
+        gripper.step = None
         if here is goal:
             return
         way = goal.position - here.position
-        orientation = Rotation.from_quat(here.orientation)
-        turn = (Rotation.from_quat(goal.orientation) * orientation.inv()).as_rotvec()
+        turn = (Rotation.from_quat(goal.orientation) * Rotation.from_quat(here.orientation).inv()).as_rotvec()
         length, angle = float(np.linalg.norm(way)), float(np.linalg.norm(turn))
         gripper.blocked = False
         if length < _ARRIVED and angle < _ARRIVED:
@@ -219,12 +228,20 @@ class Grasps:
         most = min(1.0 - math.exp(-span / _FOLLOW_TIME), self.max_speed * span / (length + radius * angle))
         springs = _springs_at(model, held)
         for share in _SHARES:
-            rotation = Rotation.from_rotvec(most * share * turn) * orientation
-            position = here.position + most * share * way
-            if springs.allow(x, v, rotation.apply(gripper.local) + position, span):
-                gripper.pose = Pose(position, rotation.as_quat())
+            step = most * share * way, most * share * turn
+            pose = _moved(here, step, 1.0)
+            if springs.allow(x, v, Rotation.from_quat(pose.orientation).apply(gripper.local) + pose.position, span):
+                gripper.step = step
                 return
         gripper.blocked = True
+
+
+def _moved(pose: Pose, step: tuple[Floats, Floats] | None, share: float) -> Pose:
+    """A pose after a share of a step of way [m] and turn [rad]."""
+    if step is None:
+        return pose
+    turn = Rotation.from_rotvec(share * step[1]) * Rotation.from_quat(pose.orientation)
+    return Pose(pose.position + share * step[0], turn.as_quat())
 
 
 @dataclass(frozen=True)

@@ -307,6 +307,7 @@ class Simulation:
             )  # fmt: skip
             done += did
             self.time += did * dt
+            self.grasps.advance(did / steps)
             if motion is not None:
                 self._check_finite(good_x, good_v)
                 self._advance_body(did * dt)

@@ -60,6 +60,19 @@ def test_no_held_particle_is_faster_than_the_limit(limit):
     assert 0.5 * limit < fastest <= limit * (1 + 1e-9)
 
 
+def test_the_limit_holds_where_contact_cuts_steps_short():
+    ball = body_of(trimesh.creation.icosphere(3, radius=0.1), move=[0, 0, 0.098])
+    simulation = Simulation(scene(ball, gravity=GRAVITY))
+    simulation.grasps.max_speed = 0.05
+    simulation.grasp("left", corner(simulation, 0.15, 0.15), Pose.of([0.15, 0.15, 0.2]))
+    simulation.move_grasp("left", Pose.of([0.15, 0.15, 0.4]))
+    for _ in range(30):
+        simulation.tick()
+        position = simulation.grasps.describe()["left"]["position"]
+        assert position[2] - 0.2 <= 0.05 * simulation.time * (1 + 1e-9)
+    assert position[2] > 0.2 + 0.04 * simulation.time
+
+
 def test_what_is_let_go_falls_freely():
     simulation = Simulation(scene(gravity=GRAVITY))
     everything = np.arange(simulation.scene.garment.particle_count)
@@ -105,7 +118,8 @@ def test_a_gripper_keeps_hold_while_seams_close():
     assert simulation.positions[held] == pytest.approx(at, abs=simulation.scene.settings.seam_tolerance)
     at = simulation.positions[held]
     simulation.move_grasp("left", Pose.of([0.0, -0.2, 0.1]))
-    simulation.advance(1.0)
+    simulation.advance(3.0, lambda s: s.grasps.describe()["left"]["arrived"])
+    simulation.advance(0.1)
     assert simulation.positions[held] == pytest.approx(at + np.array([0.0, -0.2, 0.1]), abs=1e-9)
     # The other panel has come along by the seam.
     apart = np.linalg.norm(simulation.positions[sewn_to][:, None] - simulation.positions[held][None], axis=2)
