@@ -36,6 +36,7 @@ class Report:
         contact_searches: how often contacts were searched.
         warnings: one line each.
         state_sha256: hash of the final positions and velocities.
+        gate: verdict of GarmentCode's gate (`gate.judge`), null where it was not asked for.
     """
 
     garment: str
@@ -66,6 +67,7 @@ class Report:
     expected_error_source: str
     warnings: tuple[str, ...] = field(default=())
     state_sha256: str = ""
+    gate: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """All values as JSON types; a number that is not finite becomes null."""

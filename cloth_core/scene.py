@@ -14,7 +14,9 @@ from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
+from cloth_core.layering import separate_panels
 from cloth_core.pattern import Pattern
+from cloth_core.pattern_layers import layers_of
 from cloth_core.placement import clear_of_body
 from cloth_core.quality import Settings, settings_for, with_expected_error
 from cloth_core.switched_off import check_without
@@ -22,6 +24,8 @@ from cloth_core.switched_off import check_without
 __all__ = ["Scene"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
+# Between panels that had to be moved apart at the start [m].
+_PANEL_GAP = 0.01
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ class Scene:
         """Discretise patterns and put them around a body.
 
         Args:
-            patterns: one or several; several become one scene with all their panels.
+            patterns: one or several, the innermost garment first; all their panels become one scene.
             body: what they are draped on.
             fabric: cotton poplin if none is given.
             quality: draft, normal or fine; ignored when settings are given.
@@ -107,13 +111,20 @@ class Scene:
         one = [patterns] if isinstance(patterns, Pattern) else list(patterns)
         if not one:
             raise SceneError("scene: there is no pattern; give at least one")
+        worn = layers_of(one)
         fabric = Fabric.preset("cotton_poplin") if fabric is None else fabric
-        cloth = Cloth.of(sum(pattern.area for pattern in one), fabric)
+        cloth = Cloth.of(sum(pattern.area for pattern in worn), fabric)
         chosen = settings_for(quality, tolerance, cloth) if settings is None else with_expected_error(settings, cloth)
-        garment = Garment.joined([Garment.from_pattern(p, chosen.spacing) for p in one])
+        garments = [Garment.from_pattern(p, chosen.spacing) for p in worn]
+        garment = Garment.joined(garments)
+        layers = [k for k, g in enumerate(garments) for _ in g.panel_names]
         if body is not None:
             _check_scale(garment, body)
             garment = clear_of_body(garment, body, chosen.contact_offset)
+        apart = separate_panels(garment, layers, _PANEL_GAP)
+        if body is not None and apart is not garment:
+            apart = clear_of_body(apart, body, chosen.contact_offset)
+        garment = apart
         return cls(
             garment=garment,
             fabric=fabric,

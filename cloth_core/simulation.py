@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import ContactState
+from cloth_core.contact import SPENT, ContactState
 from cloth_core.errors import SimulationError
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
@@ -48,6 +48,8 @@ _STALLED = 0.9
 _SOFTNESS = 1.0 / 16.0
 _STIFFENING_TIME = 0.1
 _NEARLY = 6.0
+# What touches may go this share of the distance between layers in a step, however little room it has.
+_LEAST_ROOM = 0.1
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -214,12 +216,14 @@ class Simulation:
         settings = self.scene.settings
         while done < count:
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
+            step = min(dt, self._flight_step)
+            self._rescale_impulses(step)
             did = run_steps(
-                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, dt,
+                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
                 count - done, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
-            self.time += did * dt
+            self.time += did * step
             if done < count and self.model.contact is not None:
                 self._check_finite(good_x, good_v)
                 self._search_contacts()
@@ -242,6 +246,15 @@ class Simulation:
         if wall > 0.0:
             self._speed += 0.1 * ((self.time - before) / wall - self._speed)
 
+    def _rescale_impulses(self, step: float) -> None:
+        """Impulses that the next step starts from belong to the last step's length [s]; forces go on, not impulses."""
+        if step != self._impulse_step:
+            ratio = step / self._impulse_step
+            self.model.strain_limit.impulse[:] *= ratio
+            self._contacts.pairs.impulse[:] *= ratio
+            self._contacts.pairs.friction[:] *= ratio
+            self._impulse_step = step
+
     # -- parts of a run --
 
     def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
@@ -259,6 +272,8 @@ class Simulation:
         self._contact_settings = model.contact_settings()
         self._stable = model.stable_step(self._x, self._air_drag())
         self._contacts = ContactState.none()
+        self._flight_step = math.inf
+        self._impulse_step = 1.0
         self._refresh_time_step(estimate=False)
         if model.contact is not None:
             self._search_contacts()
@@ -291,9 +306,13 @@ class Simulation:
         reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, _MOST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
+        # What may be left of a way when it counts as not yet spent is enough for one more step: nothing is stopped.
+        room = (1.0 - SPENT) * self._contacts.travel
+        room = np.maximum(room, _LEAST_ROOM * self.scene.settings.cloth_offset)
+        self._flight_step = float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:
-        return bool((self._moved > 0.8 * self._contacts.travel).any())
+        return bool((self._moved > SPENT * self._contacts.travel).any())
 
     def _largest_speed(self) -> float:
         return float(np.sqrt((self._v**2).sum(axis=1).max()))

@@ -31,6 +31,8 @@ def print_report(report: Report) -> None:
         ("edges through cloth", str(report.self_intersections)),
         ("deepest penetration", f"{1000 * report.max_penetration:.3g} mm"),
     ]
+    if report.gate is not None:
+        rows.append(("gate", "passed" if report.gate["passed"] else f"FAILED: {'; '.join(report.gate['failed'])}"))
     _print_rows(f"{report.garment} on {report.body or 'no body'}", rows)
 
 
