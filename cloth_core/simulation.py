@@ -45,11 +45,10 @@ _LEAST_REACH, _MOST_REACH = 0.001, 0.006
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _SEWING_INTERVAL = 0.05
 _STALLED = 0.9
-# Share of the structural stiffness on the way to rest; it grows to all of it in about this time [s] when movements are
-# this many times what counts as rest.
+# Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
+# [s] once the seams have closed.
 _SOFTNESS = 1.0 / 16.0
-_STIFFENING_TIME = 0.1
-_NEARLY = 6.0
+_STIFFENING_TIME = 0.05
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # Cloth faster than this has left physics [m/s].
@@ -114,7 +113,6 @@ class Simulation:
         self._kinetic_energy = 0.0
         self._impulse_step = 1.0
         self._flight_step = math.inf
-        self._stiffening = False
         self._next_sewing = 0.0
         self._speed = 0.0
         self.grasps = Grasps()
@@ -186,11 +184,11 @@ class Simulation:
 
         At rest means that within `rest_window` no particle has moved by more than `rest_displacement`. The way there is
         not physical in time, only its end is the equilibrium: extra air drag (`settle_drag`) calms the swinging, and a
-        run from the start sews and drapes with soft structural springs first (`Model.soften`), which allows longer
-        steps, and gets their true stiffness when it is nearly at rest.
+        run from the start sews with soft structural springs (`Model.soften`), which allows longer steps, and gives them
+        their true stiffness when the seams have closed.
         """
         self._seeking_rest = True
-        if self.steps == 0:
+        if self.steps == 0 and self.phase == SEWING:
             self.model.soften(_SOFTNESS)
         self._refresh_time_step()
         reason = "stopped before it came to rest"
@@ -329,12 +327,14 @@ class Simulation:
             self._search_contacts()
         if self._seeking_rest and self.phase != SEWING:
             self._calm()
-            if self._stiffening and self.model.softness < 1.0:
+            if self.model.softness < 1.0:
                 self._stiffen()
         if self.phase == SEWING:
             self._sew()
-        elif self.time >= self._window_end:
-            self._check_rest()
+        else:
+            self._window_reach = max(self._window_reach, self._movement())
+            if self.time >= self._window_end:
+                self._check_rest()
         if self.time >= self._next_check:
             self._refresh_time_step()
         wall = time.perf_counter() - began
@@ -479,16 +479,16 @@ class Simulation:
         self._window_x = self._x.copy()
         self._window_end = self.time + self.scene.settings.rest_window
         self._window_movement: float | None = None
+        self._window_reach = 0.0
+
+    def _movement(self) -> float:
+        """Farthest way of any particle since the window in which rest is looked for was opened [m]."""
+        return float(np.sqrt(((self._x - self._window_x) ** 2).sum(axis=1).max()))
 
     def _check_rest(self) -> None:
         settings = self.scene.settings
-        movement = float(np.sqrt(((self._x - self._window_x) ** 2).sum(axis=1).max()))
-        speed_limit = 2.0 * settings.rest_displacement / settings.rest_window
-        if self.model.softness < 1.0:
-            self._stiffening = movement <= _NEARLY * settings.rest_displacement
-            self._open_window()
-            return
-        self.settled = movement <= settings.rest_displacement and self._largest_speed() <= speed_limit
+        movement = self._window_reach
+        self.settled = movement <= settings.rest_displacement
         if self.settled:
             self.phase = REST
         elif self.phase == REST:
