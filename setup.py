@@ -23,6 +23,8 @@ RUNTIME = [
     "zstandard>=0.22",
 ]
 ROS = ["pyyaml>=6.0", "ros-jazzy-common-interfaces>=5.3.6", "ros-jazzy-rclpy[fastrtps]>=7.1.6"]
+# Plots of `cloth-sim stability` and of the validation page.
+PLOTS = ["matplotlib>=3.8"]
 TEST = [
     # The suite as such.
     "hypothesis>=6.100",
@@ -33,6 +35,7 @@ TEST = [
     "rosbags>=0.10",
     "rtree>=1.0",
     "svgpathtools>=1.6",
+    *PLOTS,
     # `colcon build` without apt: the smallest set that builds an ament_python package and shows what failed.
     "colcon-core>=0.18",
     "colcon-output>=0.2.13",
@@ -64,7 +67,7 @@ setup(
     ],
     zip_safe=False,
     install_requires=RUNTIME,
-    extras_require={"ros": ROS, "test": TEST, "lint": LINT},
+    extras_require={"ros": ROS, "test": TEST, "lint": LINT, "plots": PLOTS},
     entry_points={
         "console_scripts": [
             "cloth-sim = cloth_sim_ros.command_line:main",

@@ -16,6 +16,7 @@ import click
 from cloth_core.errors import ClothError, SimulationError
 from cloth_sim_ros.command_values import OutputFile, PictureSize, Quantity
 from cloth_sim_ros.run_progress import Interruption, ProgressDisplay
+from cloth_sim_ros.stability_command import stability
 
 if TYPE_CHECKING:
     from cloth_core.pattern import Pattern
@@ -215,6 +216,9 @@ def play(log: str, rate: float, loop: bool) -> None:
     with ProgressDisplay() as display:
         display.step(f"playing {log}")
         play_log(log, rate=rate, loop=loop, progress=functools.partial(display.share, "{done} s of {total} s played"))
+
+
+cli.add_command(stability)
 
 
 # Parts of commands

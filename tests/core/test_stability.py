@@ -253,3 +253,10 @@ def test_stable_step_is_never_longer_than_that_of_the_matrices(count, seed, log_
     )
     dt = limit.time_step
     assert 0.99 * 4.0 < np.linalg.eigvalsh(dt * dt * k_matrix + 2 * dt * c_matrix)[-1] <= 4.0 * (1 + 1e-9)
+
+
+def test_drag_alone_limits_to_two_over_k_a_whatever_little_else_there_is():
+    # All modes within a ten thousandth of each other: the Lanczos vectors must stay at right angles all the same.
+    k_a, stiffness = 1e3, np.linspace(0.0, 50.0, 300).reshape(-1, 3)
+    limit = stable_time_step(lambda u: stiffness * u, lambda u: k_a * u, np.ones(100))
+    assert limit.time_step == pytest.approx((math.sqrt(k_a**2 + 4 * 50.0) - k_a) / 50.0, rel=3e-3)
