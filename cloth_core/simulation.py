@@ -18,6 +18,7 @@ from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
 from cloth_core.quality import EXPECTED_ERROR_SOURCE
 from cloth_core.report import Report
+from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
@@ -156,7 +157,8 @@ class Simulation:
     def settle(self, on_tick: OnTick | None = None) -> Report:
         """Run until the cloth lies still (paper, step 5); on_tick may return True to stop early.
 
-        At rest means that within `rest_window` no particle has moved by more than `rest_displacement`.
+        At rest means that within `rest_window` no particle moves by more than `rest_displacement`, and that none is
+        about to: a swing that turns round is none (`cloth_core.rest`).
         Extra air drag (`settle_drag`) calms the swinging; the resting shape does not depend on it.
         """
         self._seeking_rest = True
@@ -208,7 +210,7 @@ class Simulation:
             self._search_contacts()
         if self.phase == SEWING:
             self._sew()
-        elif self.time >= self._window_end:
+        elif self._rest.due(self.time):
             self._check_rest()
         if self.time >= self._next_check:
             self._refresh_time_step()
@@ -318,29 +320,22 @@ class Simulation:
         return len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree)) > 0
 
     def _open_window(self) -> None:
-        self._window_x = self._x.copy()
-        self._window_end = self.time + self.scene.settings.rest_window
-        self._window_movement: float | None = None
+        settings, gravity = self.scene.settings, self.scene.gravity
+        height = float(np.ptp(self._x @ np.array(gravity))) / max(float(np.linalg.norm(gravity)), 1e-12)
+        slowest = slowest_swing(gravity, height)
+        self._rest = RestWatch(settings.rest_displacement, settings.rest_window, slowest)
+        self._rest.open(self.time, self._x)
 
     def _check_rest(self) -> None:
-        settings = self.scene.settings
-        movement = float(np.sqrt(((self._x - self._window_x) ** 2).sum(axis=1).max()))
-        speed_limit = 2.0 * settings.rest_displacement / settings.rest_window
-        self.settled = movement <= settings.rest_displacement and self._largest_speed() <= speed_limit
+        self.settled = self._rest.at_rest(self.time, self._x)
         if self.settled:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
-        last = self._window_movement
-        self._open_window()
-        self._window_movement = movement
-        self._movement_ratio = movement / last if last else None
-
-    _movement_ratio: float | None = None
 
     def _rest_estimate(self) -> float | None:
         """Rest time if the movement per window goes on shrinking at the present rate."""
-        movement, ratio = self._window_movement, self._movement_ratio
+        movement, ratio = self._rest.movement, self._rest.ratio
         if self.settled:
             return self.time
         if movement is None or ratio is None or not 0.0 < ratio < 0.99:
