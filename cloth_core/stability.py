@@ -89,27 +89,33 @@ def stable_time_step(
     scale = np.sqrt(inverse_mass)[:, None]
     stir = np.random.default_rng(0).standard_normal((len(inverse_mass), 3))
     stir /= np.linalg.norm(stir)
-    # A second mode that limits nearly as much is found only from a start that has enough of it.
-    share = 1.0 if start is None else 0.1
-    mode = stir if start is None else start
-    value, mode = largest_eigenpair(lambda u: scale * stiffness(scale * u), _stirred(mode, share, stir), tolerance)
-    dt = 2.0 / math.sqrt(value) if value > 0.0 else math.inf
+
+    def along(mode: Floats) -> tuple[float, float]:
+        """k = u K u and c = u C u of the normalised mode."""
+        unit = mode / np.linalg.norm(mode)
+        k = float((unit * scale * stiffness(scale * unit)).sum())
+        return k, float((unit * scale * damping(scale * unit)).sum())
+
+    if start is None or not start.any():
+        value, mode = largest_eigenpair(lambda u: scale * stiffness(scale * u), stir, tolerance)
+        dt = 2.0 / math.sqrt(value) if value > 0.0 else math.inf
+    else:
+        mode = start
+        dt = _limit(*along(mode))
     for _ in range(8):
         # Along the mode found for this dt: dt^2 k + 2 dt c = 4. A new mode can only shorten the step; it settles fast.
         step = min(dt, 1e6)
         value, mode = largest_eigenpair(
             lambda u, s=step: scale * (s * s * stiffness(scale * u) + 2.0 * s * damping(scale * u)),  # type: ignore[misc]
-            _stirred(mode, share, stir),
+            _stirred(mode, stir),
             tolerance,
         )
         if value <= 0.0:
             return StableStep(math.inf, 0.0, 0.0, mode)
-        unit = mode / np.linalg.norm(mode)
-        k = float((unit * scale * stiffness(scale * unit)).sum())
-        c = float((unit * scale * damping(scale * unit)).sum())
+        k, c = along(mode)
         error = value / (step * step * k + 2.0 * step * c)  # what the residual adds
         k, c = k * error, c * error
-        dt = 4.0 / (c + math.sqrt(c * c + 4.0 * k)) if k > 0.0 or c > 0.0 else math.inf
+        dt = _limit(k, c)
         if abs(dt - step) <= tolerance * step:
             break
     # dt comes from above, along modes that need not be the worst of a shorter step. But r times a step, r < 1, has at
@@ -118,6 +124,15 @@ def stable_time_step(
     return StableStep(certain, math.sqrt(k), c / (2.0 * math.sqrt(k)) if k > 0.0 else math.inf, mode)
 
 
-def _stirred(mode: Floats, share: float, stir: Floats) -> Floats:
-    """A mode with a share of every direction: from a mode in the plane of a flat sheet Lanczos never leaves it."""
-    return np.asarray(mode + share * np.linalg.norm(mode) * stir)
+def _limit(k: float, c: float) -> float:
+    """The dt of dt^2 k + 2 dt c = 4."""
+    return 4.0 / (c + math.sqrt(c * c + 4.0 * k)) if k > 0.0 or c > 0.0 else math.inf
+
+
+def _stirred(mode: Floats, stir: Floats) -> Floats:
+    """A mode and as much of every direction.
+
+    From a mode in the plane of a flat sheet alone, Lanczos never leaves it; and with little of the others it ends at a
+    mode that was the stiffest before the cloth moved, and is no longer.
+    """
+    return np.asarray(mode / np.linalg.norm(mode) + stir)

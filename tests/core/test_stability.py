@@ -260,3 +260,16 @@ def test_drag_alone_limits_to_two_over_k_a_whatever_little_else_there_is():
     k_a, stiffness = 1e3, np.linspace(0.0, 50.0, 300).reshape(-1, 3)
     limit = stable_time_step(lambda u: stiffness * u, lambda u: k_a * u, np.ones(100))
     assert limit.time_step == pytest.approx((math.sqrt(k_a**2 + 4 * 50.0) - k_a) / 50.0, rel=3e-3)
+
+
+@pytest.mark.parametrize("tolerance", [2e-3, 1e-2])
+def test_mode_that_was_the_stiffest_and_is_no_longer_does_not_hide_the_one_that_is(tolerance):
+    # A run asks again and again, each time from its last mode. Folding cloth stiffens elsewhere meanwhile.
+    stiffness = np.linspace(1.0, 70.0, 1200).reshape(-1, 3)
+    stiffness[17, 1] = 100.0
+    last = np.zeros_like(stiffness)
+    last[-1, -1] = 1.0
+    limit = stable_time_step(lambda u: stiffness * u, lambda u: 0.01 * stiffness * u, np.ones(400), last, tolerance)
+    w = 10.0
+    exact = 2.0 * (math.sqrt(1.0 + (0.05 * w / w) ** 2) - 0.05) / w  # z = c / 2w = 0.05
+    assert exact * 0.97 <= limit.time_step <= exact
