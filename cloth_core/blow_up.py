@@ -98,6 +98,8 @@ def measure_blow_up(
     model = simulation.model
     drag = simulation._air_drag()
     predicted = model.stable_step(simulation._x, drag)
+    if not math.isfinite(predicted.time_step):
+        raise SimulationError("blow-up: nothing stiff and nothing that drags can move; take a scene with a limit")
     origin = simulation._x.copy()
     shortest = _shortest(model, scene)
     limit = (_BLOWN_UP_IN_CONTACT if model.contact is not None or rest_first > 0.0 else _BLOWN_UP) * shortest
