@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
+from cloth_core.runs import Runs, find_runs
 
 __all__ = ["Bending", "bending_forces", "build_bending", "hinges"]
 
@@ -43,6 +44,10 @@ class Bending:
 
     def __len__(self) -> int:
         return len(self.lines) + len(self.hinges)
+
+    def line_runs(self) -> Runs:
+        """The triples in line as runs with the value k [N/m]."""
+        return find_runs(self.lines, self.line_stiffness[:, None])
 
 
 def hinges(triangles: Ints) -> tuple[Ints, Ints]:
@@ -125,37 +130,39 @@ def _hinge_elements(garment: Garment, hinge: Ints, sides: Ints, number: Ints, be
 
 @kernel
 def bending_forces(
-    x: Floats,
-    v: Floats,
-    lines: Ints,
-    line_stiffness: Floats,
-    hinge: Ints,
-    hinge_weights: Floats,
-    hinge_stiffness: Floats,
-    damping_time: float,
-    force: Floats,
+    x: Floats, lines: Runs, hinge: Ints, weights: Floats, stiffness: Floats, force: Floats, scratch: Floats
 ) -> None:
-    """Add -k w_i sum_j w_j (x_j + tau v_j) to every particle of every bending element.
+    """Add -k w_i sum_j w_j x_j to every particle of every bending element.
 
-    Shapes: x, v, force (n, 3) [m, m/s, N]; lines (l, 3); hinge, hinge_weights (h, 4); damping_time tau [s].
+    Shapes: x, force (3, n) [m, N]; lines with the value k [N/m] and the weights (1, -2, 1); hinge, weights (h, 4);
+    stiffness k (h,) [N/m]; scratch (3, at least n). The force is linear in x: with x + tau v in its place it includes a damping of time tau.
     """
-    for s in range(lines.shape[0]):
-        i, j, k = lines[s, 0], lines[s, 1], lines[s, 2]
-        for axis in range(3):
-            bend = x[i, axis] - 2.0 * x[j, axis] + x[k, axis]
-            bend += damping_time * (v[i, axis] - 2.0 * v[j, axis] + v[k, axis])
-            f = line_stiffness[s] * bend
-            force[i, axis] -= f
-            force[j, axis] += 2.0 * f
-            force[k, axis] -= f
-    for s in range(hinge.shape[0]):
-        a, b, c, d = hinge[s, 0], hinge[s, 1], hinge[s, 2], hinge[s, 3]
-        wa, wb, wc, wd = hinge_weights[s, 0], hinge_weights[s, 1], hinge_weights[s, 2], hinge_weights[s, 3]
-        for axis in range(3):
-            bend = wa * x[a, axis] + wb * x[b, axis] + wc * x[c, axis] + wd * x[d, axis]
-            bend += damping_time * (wa * v[a, axis] + wb * v[b, axis] + wc * v[c, axis] + wd * v[d, axis])
-            f = hinge_stiffness[s] * bend
-            force[a, axis] -= wa * f
-            force[b, axis] -= wb * f
-            force[c, axis] -= wc * f
-            force[d, axis] -= wd * f
+    for axis in range(3):
+        y, f, bent = x[axis], force[axis], scratch[axis]
+        for r in range(lines.length.shape[0]):
+            n, stiff = lines.length[r], lines.value[r, 0]
+            i, j, k = lines.first[r, 0], lines.first[r, 1], lines.first[r, 2]
+            before, at, after = y[i : i + n], y[j : j + n], y[k : k + n]
+            force_before, force_at, force_after = f[i : i + n], f[j : j + n], f[k : k + n]
+            for s in range(n):
+                bent[s] = stiff * (before[s] - 2.0 * at[s] + after[s])
+            for s in range(n):
+                force_before[s] -= bent[s]
+            for s in range(n):
+                force_at[s] += 2.0 * bent[s]
+            for s in range(n):
+                force_after[s] -= bent[s]
+        for s in range(lines.rest.shape[0]):
+            i, j, k = lines.rest[s, 0], lines.rest[s, 1], lines.rest[s, 2]
+            bend = lines.rest_value[s, 0] * (y[i] - 2.0 * y[j] + y[k])
+            f[i] -= bend
+            f[j] += 2.0 * bend
+            f[k] -= bend
+        for s in range(hinge.shape[0]):
+            a, b, c, d = hinge[s, 0], hinge[s, 1], hinge[s, 2], hinge[s, 3]
+            wa, wb, wc, wd = weights[s, 0], weights[s, 1], weights[s, 2], weights[s, 3]
+            bend = stiffness[s] * (wa * y[a] + wb * y[b] + wc * y[c] + wd * y[d])
+            f[a] -= wa * bend
+            f[b] -= wb * bend
+            f[c] -= wc * bend
+            f[d] -= wd * bend

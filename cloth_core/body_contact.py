@@ -14,15 +14,13 @@ from cloth_core.intersections import crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
-from cloth_core.pair_list import doubled, with_room, write_pair
+from cloth_core.pair_list import doubled, doubled_lengths, write_pair
 
-__all__ = ["BodyContact", "VertexPlanes", "hold_vertices"]
+__all__ = ["BodyContact", "VertexPlanes", "hold_vertices", "vertex_body_gaps"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Share of the distance to the body that a particle may travel between two searches; the body stands still.
-_TRAVEL = 0.9
 # Sides and body corners are held off at this share of the vertices' offset: they only act where vertices cannot.
 _SIDE_OFFSET_SHARE = 0.5
 # A vertex's contact planes are renewed when it has moved by this share of the offset.
@@ -38,6 +36,7 @@ class VertexPlanes(NamedTuple):
     Attributes:
         start: first entry of each particle in body_triangle, (n + 1,).
         body_triangle: body triangles within reach.
+        distance: to each of them at the broad phase [m].
         plane_count: contact planes of each particle, (n,); -1 before they are first computed.
         normal: unit normals pointing away from the body, (n, 3, 3).
         gap: distance to the offset surface at `at` [m], (n, 3).
@@ -46,19 +45,21 @@ class VertexPlanes(NamedTuple):
 
     start: Ints
     body_triangle: Ints
+    distance: Floats
     plane_count: Ints
     normal: Floats
     gap: Floats
     at: Floats
 
     @classmethod
-    def of(cls, particle_count: int, pairs: Ints) -> VertexPlanes:
-        """Planes still to be computed, from pairs (particle, body triangle), shape (k, 2)."""
+    def of(cls, particle_count: int, pairs: Ints, distance: Floats) -> VertexPlanes:
+        """Planes still to be computed, from pairs (particle, body triangle), shape (k, 2), and their distances."""
         order = np.argsort(pairs[:, 0], kind="stable")
         start = np.searchsorted(pairs[order, 0], np.arange(particle_count + 1)).astype(np.int32)
         return cls(
             start,
             np.ascontiguousarray(pairs[order, 1]),
+            np.ascontiguousarray(distance[order]),
             plane_count=np.full(particle_count, -1, dtype=np.int32),
             normal=np.zeros((particle_count, _MOST_PLANES, 3)),
             gap=np.zeros((particle_count, _MOST_PLANES)),
@@ -67,7 +68,7 @@ class VertexPlanes(NamedTuple):
 
 
 class BodyContact:
-    """Search for contacts between a garment's triangles and a body.
+    """Search for candidates of contact between a garment's triangles and a body.
 
     Args:
         body: the obstacle.
@@ -80,29 +81,29 @@ class BodyContact:
         self.side_offset = _SIDE_OFFSET_SHARE * offset
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
 
-    def search(
-        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, reach: Floats
+    def candidates(
+        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float
     ) -> tuple[VertexPlanes, Ints, Floats, Floats]:
-        """All pairs that can come into contact while no particle moves farther than its reach from x (n, 3) [m].
+        """All pairs that can come into contact while no particle moves farther than radius from x (n, 3) [m].
 
         Args:
             x, triangles, cloth: positions [m], the cloth's triangles and who owns what.
-            tree: of the cloth's triangles, its boxes enlarged by at least offset + reach.
-            reach: of each particle [m], (n,).
+            tree: of the cloth's triangles, its boxes enlarged by at least offset + radius.
+            radius: [m].
 
         Returns:
-            the vertex pairs; the other pairs as rows (s, 6) and their distances (s,) [m]; and how far each particle may
-            travel [m], (n,), so that it cannot cross the body.
+            the vertex pairs; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
         """
         found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs)
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs)
-        vertex_pairs, rows, distance, gap = _narrow_phase(
+        vertex_pairs, vertex_distance, rows, distance = _candidates(
             x, triangles, cloth, self.body.vertices, self.body.triangles, self.body.representatives,
-            self._leaf_pairs[:found], self.offset, self.side_offset, reach,
+            self._leaf_pairs[:found], self.offset + radius, self.side_offset + radius,
         )  # fmt: skip
-        return VertexPlanes.of(len(x), vertex_pairs), rows, distance, np.minimum(_TRAVEL * gap, reach)
+        planes = VertexPlanes.of(len(x), vertex_pairs, vertex_distance)
+        return planes, rows, np.full(len(rows), self.side_offset), distance
 
     def crosses(self, x: Floats, triangles: Ints) -> bool:
         """Whether a side of the cloth at x (n, 3) [m] passes through the body or one of the body through the cloth."""
@@ -114,7 +115,7 @@ class BodyContact:
 
 
 @kernel
-def _narrow_phase(
+def _candidates(
     x: Floats,
     triangles: Ints,
     cloth: Representatives,
@@ -122,50 +123,41 @@ def _narrow_phase(
     body_triangles: Ints,
     body: Representatives,
     leaf_pairs: Ints,
-    offset: float,
-    side_offset: float,
-    reach: Floats,
-) -> tuple[Ints, Ints, Floats, Floats]:
-    """Distances of all vertex-triangle, edge-edge and triangle-vertex pairs of the leaf pairs that are within reach.
-
-    The last value is each particle's smallest distance [m], over all pairs that its triangles and sides are in; inf
-    where there is none.
-    """
-    gap = np.full(x.shape[0], np.inf)
+    vertex_reach: float,
+    side_reach: float,
+) -> tuple[Ints, Floats, Ints, Floats]:
+    """Vertex-triangle pairs within vertex_reach, edge-edge and triangle-vertex pairs within side_reach [m]."""
     vertex_pairs = np.empty((4096, 2), dtype=np.int32)
-    sides = np.empty((4096, 6), dtype=np.int32)
-    side_distance = np.empty(4096)
+    vertex_distance = np.empty((4096, 1))
+    sides = np.empty((4096, 7), dtype=np.int32)
+    side_distance = np.empty((4096, 1))
     vertex_count, side_count = 0, 0
     for pair in range(leaf_pairs.shape[0]):
         ct, bt = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
         b0, b1, b2 = body_triangles[bt, 0], body_triangles[bt, 1], body_triangles[bt, 2]
         c0, c1, c2 = triangles[ct, 0], triangles[ct, 1], triangles[ct, 2]
-        triangle_reach = side_offset + max(reach[c0], max(reach[c1], reach[c2]))
+        if side_count + 12 > sides.shape[0]:
+            sides, side_distance = doubled(sides), doubled_lengths(side_distance)
+        if vertex_count + 3 > vertex_pairs.shape[0]:
+            vertex_pairs, vertex_distance = doubled(vertex_pairs), doubled_lengths(vertex_distance)
         for k in range(3):
             if cloth.owns_vertex[ct, k]:
                 i = triangles[ct, k]
                 squared = point_triangle(x[i], body_x[b0], body_x[b1], body_x[b2])[0]
-                if squared < (offset + reach[i]) ** 2:
-                    gap[i] = min(gap[i], np.sqrt(squared))
-                    if vertex_count == vertex_pairs.shape[0]:
-                        vertex_pairs = doubled(vertex_pairs)
+                if squared < vertex_reach * vertex_reach:
                     vertex_pairs[vertex_count, 0] = i
                     vertex_pairs[vertex_count, 1] = bt
+                    vertex_distance[vertex_count, 0] = np.sqrt(squared)
                     vertex_count += 1
             if body.owns_vertex[bt, k]:
                 j = body_triangles[bt, k]
                 squared = point_triangle(body_x[j], x[c0], x[c1], x[c2])[0]
-                if squared < triangle_reach * triangle_reach:
-                    distance = np.sqrt(squared)
-                    for c in (c0, c1, c2):
-                        gap[c] = min(gap[c], distance)
-                    sides, side_distance = with_room(sides, side_distance, side_count)
-                    write_pair(sides, side_count, BODY_VERTEX, c0, c1, c2, j, -1)
-                    side_distance[side_count] = distance
+                if squared < side_reach * side_reach:
+                    write_pair(sides, side_count, BODY_VERTEX, c0, c1, c2, -1, j, -1)
+                    side_distance[side_count, 0] = np.sqrt(squared)
                     side_count += 1
             if cloth.owns_edge[ct, k]:
                 p, q = triangles[ct, k], triangles[ct, (k + 1) % 3]
-                side_reach = side_offset + max(reach[p], reach[q])
                 for m in range(3):
                     if not body.owns_edge[bt, m]:
                         continue
@@ -180,14 +172,33 @@ def _narrow_phase(
                         continue
                     squared = segment_segment(x[p], x[q], body_x[a], body_x[b])[0]
                     if squared < side_reach * side_reach:
-                        distance = np.sqrt(squared)
-                        gap[p] = min(gap[p], distance)
-                        gap[q] = min(gap[q], distance)
-                        sides, side_distance = with_room(sides, side_distance, side_count)
-                        write_pair(sides, side_count, BODY_SIDE, p, q, -1, a, b)
-                        side_distance[side_count] = distance
+                        write_pair(sides, side_count, BODY_SIDE, p, q, -1, -1, a, b)
+                        side_distance[side_count, 0] = np.sqrt(squared)
                         side_count += 1
-    return vertex_pairs[:vertex_count].copy(), sides[:side_count].copy(), side_distance[:side_count].copy(), gap
+    return (
+        vertex_pairs[:vertex_count].copy(),
+        vertex_distance[:vertex_count, 0].copy(),
+        sides[:side_count].copy(),
+        side_distance[:side_count, 0].copy(),
+    )
+
+
+@kernel
+def vertex_body_gaps(
+    x: Floats, planes: VertexPlanes, body_x: Floats, body_triangles: Ints, moved: Floats, needed: Floats, gap: Floats
+) -> None:
+    """Lower each particle's gap (n,) [m] to its distance from the body's triangles, as far as that is below needed.
+
+    moved (n,): way of each particle since the candidates were found [m]; needed (n,): a distance from which on it does
+    not matter [m].
+    """
+    for i in range(x.shape[0]):
+        for entry in range(planes.start[i], planes.start[i + 1]):
+            if planes.distance[entry] - moved[i] >= min(needed[i], gap[i]):
+                continue
+            t = planes.body_triangle[entry]
+            a, b, c = body_triangles[t, 0], body_triangles[t, 1], body_triangles[t, 2]
+            gap[i] = min(gap[i], np.sqrt(point_triangle(x[i], body_x[a], body_x[b], body_x[c])[0]))
 
 
 @kernel

@@ -1,9 +1,11 @@
-"""Contact of cloth with a body: nothing can pass through, at any speed and time step.
+"""Contact of cloth with a body and with itself: nothing can pass through, at any speed and time step.
 
-*Search* (rarely): the double traversal of the AABB trees finds every vertex-triangle and edge-edge pair within reach,
-and from their distances a bound on how far each particle may travel before the next search: less than its distance to
-whatever it could hit, so that it cannot have crossed (the displacement bound of offset geometric contact, Chen et al.
-2025).
+*Broad phase* (rarely): traversals of the AABB trees find every vertex-triangle and edge-edge pair that can come into
+contact while no particle moves farther than a radius. It is repeated when a particle has used up most of that radius.
+
+*Narrow phase* (more often): the distances of those candidates, and from them a bound on how far each particle may travel
+before the next narrow phase: less than its share of the distance to whatever it could hit, so that nothing can have
+crossed (the displacement bound of offset geometric contact, Chen et al. 2025).
 
 *Response* (each step): a contact holds its parts apart by removing the approaching velocity, with Coulomb friction
 bounded by the same impulse (Moreau's time stepping). There is no contact stiffness: the stable time step does not
@@ -18,22 +20,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
-from cloth_core.body_contact import BodyContact, VertexPlanes, hold_vertices
+from cloth_core.body_contact import BodyContact, VertexPlanes, hold_vertices, vertex_body_gaps
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
-from cloth_core.pair_contacts import PairContacts, hold_pairs, repeat_impulses
+from cloth_core.pair_contacts import (
+    BODY_SIDE,
+    BODY_VERTEX,
+    CLOTH_VERTEX,
+    COUNTS_FROM,
+    PairContacts,
+    hold_pairs,
+    measure_pair,
+    repeat_impulses,
+)
+from cloth_core.self_contact import SelfContact
 
 __all__ = ["Contact", "ContactSettings", "ContactState", "keep_within_travel", "resolve_contacts"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+# Share of the distance between two parts that each may travel between two narrow phases; the body stands still.
+_BODY_TRAVEL = 0.9
+_CLOTH_TRAVEL = 0.45
+# How far particles may move between two broad phases, if nobody says otherwise [m], and the share of it that must be
+# left for a narrow phase to make do with the candidates that there are.
+_RADIUS = 0.006
+_LEAST_SHARE = 0.25
+
 
 class ContactState(NamedTuple):
-    """What one search found.
+    """What one narrow phase found.
 
     Attributes:
-        origin: positions at the search [m], (n, 3).
+        origin: positions at the narrow phase [m], (n, 3).
         travel: how far each particle may move from there [m], (n,).
         planes: cloth vertices against body triangles.
         pairs: everything else.
@@ -47,7 +67,11 @@ class ContactState(NamedTuple):
     @classmethod
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
-        return cls(np.zeros((0, 3)), np.zeros(0), VertexPlanes.of(0, np.zeros((0, 2), np.int32)), PairContacts.none())
+        return cls(np.zeros((0, 3)), np.zeros(0), _no_planes(0), PairContacts.none())
+
+
+def _no_planes(particles: int) -> VertexPlanes:
+    return VertexPlanes.of(particles, np.zeros((0, 2), np.int32), np.zeros(0))
 
 
 class ContactSettings(NamedTuple):
@@ -69,44 +93,139 @@ class ContactSettings(NamedTuple):
 
 
 class Contact:
-    """Search for all contacts of a garment. (Cloth against cloth will be a second search beside the body's.)
+    """Search for all contacts of a garment.
 
     Args:
         triangles: the cloth's, shape (m, 3).
-        body: what it meets.
+        body: what it meets, or None.
+        cloth: contact with itself, or None where that cannot happen.
+        radius: how far particles may move between two broad phases [m].
+
+    Attributes:
+        broad_phases, narrow_phases: how many there were.
     """
 
-    def __init__(self, triangles: Ints, body: BodyContact) -> None:
+    def __init__(
+        self, triangles: Ints, body: BodyContact | None, cloth: SelfContact | None = None, radius: float = _RADIUS
+    ) -> None:
         self.triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self.body = body
+        self.cloth = cloth
+        self.radius = radius
+        self.broad_phases = 0
+        self.narrow_phases = 0
         self._representatives = representatives(self.triangles)
         self._tree: AabbTree | None = None
+        self._broad_x = np.zeros((0, 3))
+        self._planes = _no_planes(0)
+        self._pairs = PairContacts.none()
 
     def search(self, x: Floats, reach: float | Floats) -> ContactState:
-        """Find all pairs that can come into contact while no particle moves farther than its reach.
+        """Find all pairs that can come into contact, and how far each particle may go until the next search.
 
         Args:
             x: positions [m], shape (n, 3).
-            reach: [m], for all particles or for each, shape (n,).
+            reach: how far particles want to go [m], for all or for each, shape (n,); at most the radius is granted.
         """
-        reach = np.ascontiguousarray(np.broadcast_to(reach, len(x)), dtype=np.float64)
-        if self._tree is None:
-            self._tree = build_tree(x, self.triangles)
-        refit_tree(self._tree, x, self.triangles, self.body.offset + reach)
-        planes, rows, distance, travel = self.body.search(x, self.triangles, self._representatives, self._tree, reach)
-        pairs = PairContacts.of(
-            np.ascontiguousarray(rows[:, 0]),
-            np.ascontiguousarray(rows[:, 1:4]),
-            np.ascontiguousarray(rows[:, 4:6]),
-            np.full(len(rows), self.body.side_offset),
-            distance,
-        )
-        return ContactState(x.copy(), travel, planes, pairs)
+        reach = np.minimum(np.broadcast_to(reach, len(x)), self.radius)
+        moved = np.full(len(x), np.inf)
+        if len(self._broad_x) == len(x):
+            moved = np.sqrt(((x - self._broad_x) ** 2).sum(axis=1))
+        least = np.clip(reach, _LEAST_SHARE * self.radius, 0.5 * self.radius)
+        if (self.radius - moved < least).any():
+            self._broad_phase(x)
+            moved[:] = 0.0
+        reach = np.minimum(reach, self.radius - moved)
+        body_x = self.body.body.vertices if self.body is not None else np.zeros((0, 3))
+        body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
+        travel = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, reach)
+        self.narrow_phases += 1
+        return ContactState(x.copy(), travel, self._planes, self._pairs)
+
+    def _broad_phase(self, x: Floats) -> None:
+        self.broad_phases += 1
+        self._planes = _no_planes(len(x))
+        parts: list[tuple[Ints, Floats, Floats]] = []
+        if self.body is not None:
+            if self._tree is None:
+                self._tree = build_tree(x, self.triangles)
+            refit_tree(self._tree, x, self.triangles, self.body.offset + self.radius)
+            self._planes, *found = self.body.candidates(
+                x, self.triangles, self._representatives, self._tree, self.radius
+            )
+            parts.append((found[0], found[1], found[2]))
+        if self.cloth is not None:
+            parts.append(self.cloth.candidates(x, self.radius))
+        pairs = PairContacts.none()
+        if parts:
+            rows, offset, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
+            pairs = PairContacts.of(rows, offset, distance)
+        pairs.remember(self._pairs)
+        self._pairs = pairs
+        self._broad_x = x.copy()
 
 
 @kernel
-def keep_within_travel(x: Floats, state: ContactState, moved: Floats) -> bool:
-    """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound."""
+def _narrow_phase(
+    x: Floats,
+    planes: VertexPlanes,
+    pairs: PairContacts,
+    body_x: Floats,
+    body_triangles: Ints,
+    moved: Floats,
+    reach: Floats,
+) -> Floats:
+    """List the pairs that can come into contact within reach (n,) [m]; returns how far each particle may go, (n,).
+
+    moved (n,): way of each particle since the broad phase [m]. A pair that is farther apart than what both sides may
+    travel does not bound anybody.
+    """
+    travel = reach / _BODY_TRAVEL
+    vertex_body_gaps(x, planes, body_x, body_triangles, moved, travel, travel)
+    for i in range(travel.shape[0]):
+        travel[i] = min(_BODY_TRAVEL * travel[i], reach[i])
+    closest = np.zeros(3)
+    count = 0
+    for s in range(pairs.kind.shape[0]):
+        kind = pairs.kind[s]
+        p, q, a, b = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2], pairs.particles[s, 3]
+        if kind == BODY_SIDE:
+            way, span = max(moved[p], moved[q]), max(reach[p], reach[q])
+        elif kind == BODY_VERTEX:
+            way, span = max(moved[p], max(moved[q], moved[a])), max(reach[p], max(reach[q], reach[a]))
+        elif kind == CLOTH_VERTEX:
+            way = moved[p] + max(moved[q], max(moved[a], moved[b]))
+            span = reach[p] + max(reach[q], max(reach[a], reach[b]))
+        else:
+            way = max(moved[p], moved[q]) + max(moved[a], moved[b])
+            span = max(reach[p], reach[q]) + max(reach[a], reach[b])
+        needed = COUNTS_FROM * pairs.offset[s] + span
+        distance = pairs.distance[s] - way
+        if distance < needed:
+            distance = np.sqrt(measure_pair(x, pairs, s, body_x, closest))
+        if distance >= needed:
+            pairs.impulse[s] = 0.0
+            pairs.friction[s] = 0.0
+            continue
+        pairs.listed[count] = s
+        pairs.listed_distance[count] = distance
+        count += 1
+        bound = (_BODY_TRAVEL if kind == BODY_SIDE or kind == BODY_VERTEX else _CLOTH_TRAVEL) * distance
+        for k in range(4):
+            i = pairs.particles[s, k]
+            if i >= 0:
+                travel[i] = min(travel[i], bound)
+    pairs.listed_count[0] = count
+    return travel
+
+
+@kernel
+def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
+    """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound.
+
+    A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever holds it
+    there would go on adding to a velocity that shows nowhere.
+    """
     spent = False
     for i in range(x.shape[0]):
         dx = x[i, 0] - state.origin[i, 0]
@@ -121,6 +240,11 @@ def keep_within_travel(x: Floats, state: ContactState, moved: Floats) -> bool:
                 x[i, 0] = state.origin[i, 0] + share * dx
                 x[i, 1] = state.origin[i, 1] + share * dy
                 x[i, 2] = state.origin[i, 2] + share * dz
+                outward = (dx * v[i, 0] + dy * v[i, 1] + dz * v[i, 2]) / (distance * distance)
+                if outward > 0.0:
+                    v[i, 0] -= outward * dx
+                    v[i, 1] -= outward * dy
+                    v[i, 2] -= outward * dz
                 distance = bound
         moved[i] = distance
     return spent
@@ -135,7 +259,7 @@ def resolve_contacts(
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) scratch; dt [s].
     """
     repeat_impulses(x, v, inverse_mass, state.pairs, dt)
-    spent = keep_within_travel(x, state, moved)
+    spent = keep_within_travel(x, v, state, moved)
     hold_vertices(
         x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_triangles, settings.offset,
         settings.friction, settings.push_speed, dt,

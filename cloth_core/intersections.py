@@ -9,7 +9,7 @@ from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
 
-__all__ = ["crossing_edges", "segment_crosses", "self_crossing_edges"]
+__all__ = ["crossed_triangles", "crossing_edges", "segment_crosses", "self_crossing_edges"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -27,20 +27,47 @@ def crossing_edges(
     """
     edges, _ = unique_edges(triangles)
     tree = build_tree(other_vertices, other_triangles) if tree is None else tree
-    hit = _edges_through(vertices, edges, other_vertices, other_triangles, tree, False)
+    hit = _edges_through(vertices, edges, other_vertices, other_triangles, tree, np.zeros(0, dtype=np.int32))
     return edges[hit]
 
 
-def self_crossing_edges(vertices: Floats, triangles: Ints) -> Ints:
-    """Sides of a mesh that cross a triangle of the same mesh with which they share no corner, shape (k, 2)."""
+def self_crossing_edges(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> Ints:
+    """Sides of a mesh that cross a triangle of the same mesh with which they share no corner, shape (k, 2).
+
+    Args:
+        vertices, triangles: (n, 3) [m] and (m, 3).
+        identity: equal numbers are one corner, (n,); each vertex is its own if none is given.
+    """
     edges, _ = unique_edges(triangles)
-    hit = _edges_through(vertices, edges, vertices, triangles, build_tree(vertices, triangles), True)
+    identity = np.arange(len(vertices), dtype=np.int32) if identity is None else identity
+    hit = _edges_through(vertices, edges, vertices, triangles, build_tree(vertices, triangles), identity)
     return edges[hit]
+
+
+def crossed_triangles(vertices: Floats, triangles: Ints, identity: Ints) -> NDArray[np.bool_]:
+    """Which triangles of a mesh are crossed by a side of it with which they share no corner, shape (m,)."""
+    crossing = self_crossing_edges(vertices, triangles, identity)
+    return _crossed(vertices, crossing, triangles, identity)
+
+
+@kernel
+def _crossed(x: Floats, edges: Ints, triangles: Ints, identity: Ints) -> NDArray[np.bool_]:
+    crossed = np.zeros(triangles.shape[0], dtype=np.bool_)
+    for e in range(edges.shape[0]):
+        i, j = edges[e, 0], edges[e, 1]
+        for t in range(triangles.shape[0]):
+            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+            li, lj, la, lb, lc = identity[i], identity[j], identity[a], identity[b], identity[c]
+            if li == la or li == lb or li == lc or lj == la or lj == lb or lj == lc:
+                continue
+            if not crossed[t] and segment_crosses(x[i], x[j], x[a], x[b], x[c]):
+                crossed[t] = True
+    return crossed
 
 
 @kernel
 def _edges_through(
-    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, same_mesh: bool
+    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, identity: Ints
 ) -> NDArray[np.bool_]:
     hit = np.zeros(edges.shape[0], dtype=np.bool_)
     stack = np.zeros(128, dtype=np.int32)
@@ -68,9 +95,11 @@ def _edges_through(
                 top += 2
                 continue
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            i, j = edges[e, 0], edges[e, 1]
-            if same_mesh and (i == a or i == b or i == c or j == a or j == b or j == c):
-                continue
+            if identity.shape[0] > 0:
+                i, j = identity[edges[e, 0]], identity[edges[e, 1]]
+                la, lb, lc = identity[a], identity[b], identity[c]
+                if i == la or i == lb or i == lc or j == la or j == lb or j == lc:
+                    continue
             hit[e] = segment_crosses(p, q, vertices[a], vertices[b], vertices[c])
     return hit
 

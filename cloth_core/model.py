@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.kernel import kernel
 from cloth_core.scene import Scene
+from cloth_core.self_contact import SelfContact
 from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
@@ -27,6 +28,12 @@ Ints = NDArray[np.int32]
 
 # Longest step where nothing stiff limits it [s]: gravity and contact are still sampled often enough.
 _LONGEST_STEP = 1.0 / 480.0
+# Structural stiffness that stands for none [N/m].
+_NEXT_TO_NONE = 1e-3
+# How far particles may move between two broad phases of contact: at most this [m], and this share of the particle
+# spacing, so that flat cloth has no candidates against itself.
+_SEARCH_RADIUS = 0.006
+_SEARCH_RADIUS_SHARE = 0.275
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,7 @@ class Model:
         number: model particle of each unsewn particle, shape (n,).
         mass, inverse_mass: [kg, 1/kg], shape (k,).
         triangles: in model particles, shape (m, 3).
+        softness: what the structural springs' stiffness is multiplied by, 1 unless a run looks for rest.
         springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
         terms: all terms, with the reason why each is there or not.
     """
@@ -84,16 +92,46 @@ class Model:
         self.inverse_mass[self.number[scene.pins]] = 0.0
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
         self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
+        self.softness = 1.0
+        self._stiffness = self.springs.stiffness
+        self._soft_stiffness: Floats | None = None
+        self._runs = self.springs.runs(self._stiffness)
+        self._spring_runs = self._runs.mixed(1.0)
+        self._line_runs = (_NO_BENDING if self.bending is None else self.bending).line_runs()
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
         self.strain_limit = build_strain_limit(self.springs, fabric.strain_limit)
-        self.contact = (
-            Contact(self.triangles, BodyContact(scene.body, scene.settings.contact_offset))
-            if scene.body is not None
-            else None
+        offset = scene.settings.contact_offset
+        self.contact: Contact | None = Contact(
+            self.triangles,
+            BodyContact(scene.body, offset) if scene.body is not None else None,
+            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset, sewing),
+            radius=min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing),
         )
         self.terms = self._terms(closed)
+
+    def soften(self, softness: float) -> None:
+        """Multiply the structural stiffness by softness (0 to 1), but not to below twice that of the shear springs.
+
+        The largest frequency is that of the structural springs, which hardly stretch in a drape: a run that only looks
+        for the resting shape gets most of the way with soft ones and long steps. The strain limit is not softened.
+        """
+        garment, fabric = self.scene.garment, self.scene.fabric
+        weakest = min(fabric.structural_warp, fabric.structural_weft)
+        self.softness = softness = min(max(softness, 2.0 * fabric.shear / weakest), 1.0)
+        if softness < 1.0 and self._soft_stiffness is None:
+            # Stiffness is linear in the fabric's: between none and all of the structural one everything is a mixture.
+            soft = replace(fabric, structural_warp=_NEXT_TO_NONE, structural_weft=_NEXT_TO_NONE)
+            self._soft_stiffness = build_springs(garment, soft).renumbered(self.number).stiffness
+            self._runs = self.springs.runs(self._soft_stiffness)
+        stiffness = self.springs.stiffness
+        if self._soft_stiffness is not None:
+            stiffness = self._soft_stiffness + softness * (stiffness - self._soft_stiffness)
+        self._stiffness = stiffness
+        self._spring_runs = self._runs.mixed(softness)
+        if self.seam_pull is not None:
+            self.seam_pull = build_seam_pull(garment, fabric, garment.start, softness)
 
     # -- arrays for the compiled loop --
 
@@ -106,17 +144,15 @@ class Model:
             inverse_mass=self.inverse_mass,
             gravity=gravity,
             air_drag=float(air_drag),
-            spring_pairs=self.springs.pairs,
-            spring_rest_length=self.springs.rest_length,
-            spring_stiffness=self.springs.stiffness,
+            springs=self._spring_runs,
             spring_damping_time=self.scene.fabric.damping_time,
-            lines=bend.lines,
-            line_stiffness=bend.line_stiffness,
+            lines=self._line_runs,
             hinges=bend.hinges,
             hinge_weights=bend.hinge_weights,
             hinge_stiffness=bend.hinge_stiffness,
             bending_damping_time=self.scene.fabric.bending_damping_time,
             seam=self.seam_pull if self.seam_pull is not None else _NO_SEAMS,
+            spring_pairs=self.springs.pairs,
             strain_limit=self.strain_limit,
         )
 
@@ -152,32 +188,34 @@ class Model:
         self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 2e-3
     ) -> StableStep:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
-        still = np.zeros_like(x)
         terms = self.force_terms(air_drag)
         tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
-        springs, bends, seams = (np.zeros_like(x) for _ in range(3))
+        springs, bends, seams, seam_damping = (np.zeros_like(x) for _ in range(4))
 
         def parts(u: Floats) -> None:
-            for out in (springs, bends, seams):
+            for out in (springs, bends, seams, seam_damping):
                 out[:] = 0.0
-            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self.springs.stiffness, springs)
+            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self._stiffness, springs)
             if self.bending is not None:
+                forces = np.zeros((3, len(x)))
                 bending_forces(
-                    np.ascontiguousarray(u), still, terms.lines, terms.line_stiffness, terms.hinges,
-                    terms.hinge_weights, terms.hinge_stiffness, 0.0, bends,
+                    np.ascontiguousarray(u.T), terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness,
+                    forces, np.zeros_like(forces),
                 )  # fmt: skip
+                bends[:] = forces.T
             if self.seam_pull is not None:
-                _pair_laplacian(u, self.seam_pull.pairs, seams)
+                _pair_laplacian(
+                    u, self.seam_pull.pairs, np.full(len(self.seam_pull.pairs), self.seam_pull.stiffness), seams
+                )
+                _pair_laplacian(u, self.seam_pull.pairs, self.seam_pull.damping, seam_damping)
 
         def stiffness(u: Floats) -> Floats:
             parts(u)
-            seam = self.seam_pull.stiffness * seams if self.seam_pull is not None else 0.0
-            return np.asarray(springs - bends + seam)
+            return np.asarray(springs - bends + seams)
 
         def damping(u: Floats) -> Floats:
             parts(u)
-            seam = self.seam_pull.damping * seams if self.seam_pull is not None else 0.0
-            return np.asarray(tau * springs - bending_tau * bends + seam + air_drag * self.mass[:, None] * u)
+            return np.asarray(tau * springs - bending_tau * bends + seam_damping + air_drag * self.mass[:, None] * u)
 
         return stable_time_step(stiffness, damping, self.inverse_mass, mode, tolerance)
 
@@ -241,7 +279,8 @@ class Model:
                 f"Coulomb, {fabric.friction:g}, once the seams are closed", "no body or no friction",
             ),
             term(
-                "self contact", False, 0, "", "not modelled: cloth does not collide with cloth; crossings are counted",
+                "self contact", self.contact is not None and self.contact.cloth is not None, len(self.triangles),
+                f"offset {1000 * scene.settings.cloth_offset:g} mm, no pass-through", "",
             ),
         )  # fmt: skip
 
@@ -249,7 +288,7 @@ class Model:
 _NO_BENDING = Bending(
     np.zeros((0, 3), dtype=np.int32), np.zeros(0), np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros(0)
 )
-_NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), 0.0, 0.0, 0.0)
+_NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0)
 
 
 @kernel
@@ -276,11 +315,11 @@ def _spring_stiffness(x: Floats, u: Floats, pairs: Ints, rest_length: Floats, st
 
 
 @kernel
-def _pair_laplacian(u: Floats, pairs: Ints, out: Floats) -> None:
-    """Add the graph Laplacian of the pairs: an upper bound for a pull in any direction; u, out (k, 3)."""
+def _pair_laplacian(u: Floats, pairs: Ints, weight: Floats, out: Floats) -> None:
+    """Add the weighted graph Laplacian of the pairs: an upper bound for a pull in any direction; u, out (k, 3)."""
     for s in range(pairs.shape[0]):
         i, j = pairs[s, 0], pairs[s, 1]
         for axis in range(3):
-            difference = u[j, axis] - u[i, axis]
+            difference = weight[s] * (u[j, axis] - u[i, axis])
             out[i, axis] -= difference
             out[j, axis] += difference

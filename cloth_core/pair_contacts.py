@@ -1,8 +1,11 @@
-"""Sides and triangles of the cloth against sides and vertices of a body: impulses that only push.
+"""Contacts between two parts of which at least one has several particles: impulses that only push.
 
 Such contacts share particles, so that one pass over them does not settle them. They are swept a few times a step, and
 each step starts from the impulses of the last one: resting contacts need the same impulse in every step, so they settle
 from step to step, and cloth at rest stays at rest.
+
+The vector between the closest points of a pair is sum_k weight_k x_k (cloth) minus the body's point, with weights of
+both signs: so one set of formulas serves cloth on a body and cloth on cloth.
 """
 
 from __future__ import annotations
@@ -15,37 +18,52 @@ from numpy.typing import NDArray
 from cloth_core.closest_points import point_triangle, segment_segment
 from cloth_core.kernel import kernel
 
-__all__ = ["BODY_SIDE", "BODY_VERTEX", "PUSH_TIME", "PairContacts", "hold_pairs", "repeat_impulses"]
+__all__ = [
+    "BODY_SIDE",
+    "BODY_VERTEX",
+    "CLOTH_SIDE",
+    "CLOTH_VERTEX",
+    "COUNTS_FROM",
+    "PUSH_TIME",
+    "PairContacts",
+    "hold_pairs",
+    "measure_pair",
+    "repeat_impulses",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Kinds of pairs.
-BODY_SIDE = 0  # particles: two of a cloth side; body: two vertices of a body side
-BODY_VERTEX = 1  # particles: three corners of a cloth triangle; body: one vertex
+# Kinds of pairs, and what their four particles are.
+BODY_SIDE = 0  # two of a cloth side; body: two vertices of a body side
+BODY_VERTEX = 1  # three corners of a cloth triangle; body: one vertex
+CLOTH_VERTEX = 2  # a cloth vertex, and three corners of a cloth triangle
+CLOTH_SIDE = 3  # two of a cloth side, and two of another one
 
 # A pair counts from this many offsets on: one that rests at the offset must not come and go with rounding.
-_REACH = 1.02
+COUNTS_FROM = 1.02
 _SWEEPS = 4
 # Time in which cloth that is too near comes out, to 1/e [s].
 PUSH_TIME = 0.01
 
 
 class PairContacts(NamedTuple):
-    """Pairs within reach, and the state of those in contact; s pairs.
+    """Candidates of a broad phase, s pairs; those near enough to be looked at in each step; those in contact.
 
     Attributes:
         kind: one of the kinds above, (s,).
-        particles: cloth particles, -1 where there is none, (s, 3).
+        particles: cloth particles, -1 where there is none, (s, 4).
         body: body vertices, -1 where there is none, (s, 2).
         offset: distance at which the two are held apart [m], (s,).
-        distance: at the search [m], (s,).
-        weight: where the closest point lies between the particles, (s, 3).
-        normal: unit vector from body to cloth, (s, 3).
+        distance: at the broad phase [m], (s,).
+        weight: of each particle in the vector between the closest points, (s, 4).
+        normal: unit vector towards the first part (from body to cloth), (s, 3).
         gap: distance to the offset before the step [m], (s,).
         impulse: what the contact gave in the last step along the normal [N s], (s,).
         friction: the same across the normal [N s], (s, 3).
-        active: which pairs are in contact; the first active_count[0] entries count, (s,).
+        listed: pairs that can come into contact before the next search; the first listed_count[0] count, (s,).
+        listed_distance: their distances at the search [m], (s,).
+        active: pairs in contact; the first active_count[0] count, (s,).
     """
 
     kind: Ints
@@ -58,42 +76,82 @@ class PairContacts(NamedTuple):
     gap: Floats
     impulse: Floats
     friction: Floats
+    listed: Ints
+    listed_distance: Floats
+    listed_count: Ints
     active: Ints
     active_count: Ints
 
     @classmethod
-    def of(cls, kind: Ints, particles: Ints, body: Ints, offset: Floats, distance: Floats) -> PairContacts:
-        """Pairs that a search has found, none of them in contact yet."""
-        count = len(kind)
+    def of(cls, rows: Ints, offset: Floats, distance: Floats) -> PairContacts:
+        """Candidates, none of them in contact yet: rows (s, 7) of kind, four particles, two body vertices."""
+        count = len(rows)
         return cls(
-            kind, particles, body, offset, distance,
-            weight=np.zeros((count, 3)),
+            kind=np.ascontiguousarray(rows[:, 0]),
+            particles=np.ascontiguousarray(rows[:, 1:5]),
+            body=np.ascontiguousarray(rows[:, 5:7]),
+            offset=offset,
+            distance=distance,
+            weight=np.zeros((count, 4)),
             normal=np.zeros((count, 3)),
             gap=np.zeros(count),
             impulse=np.zeros(count),
             friction=np.zeros((count, 3)),
+            listed=np.zeros(count, dtype=np.int32),
+            listed_distance=np.zeros(count),
+            listed_count=np.zeros(1, dtype=np.int32),
             active=np.zeros(count, dtype=np.int32),
             active_count=np.zeros(1, dtype=np.int32),
-        )  # fmt: skip
+        )
 
     @classmethod
     def none(cls) -> PairContacts:
         """No pairs."""
-        return cls.of(
-            np.zeros(0, dtype=np.int32), np.zeros((0, 3), dtype=np.int32), np.zeros((0, 2), dtype=np.int32),
-            np.zeros(0), np.zeros(0),
-        )  # fmt: skip
+        return cls.of(np.zeros((0, 7), dtype=np.int32), np.zeros(0), np.zeros(0))
+
+    def remember(self, before: PairContacts) -> None:
+        """Take over the impulses of the pairs in contact of an earlier list, so that the next step starts from them."""
+        old = before.active[: before.active_count[0]]
+        if len(old) == 0 or len(self.kind) == 0:
+            return
+        key, old_key = self._keys(np.arange(len(self.kind))), before._keys(old)
+        order = np.argsort(key)
+        place = order[np.minimum(np.searchsorted(key[order], old_key), len(key) - 1)]
+        found = key[place] == old_key
+        new, old = place[found], old[found]
+        for mine, theirs in (
+            (self.weight, before.weight),
+            (self.normal, before.normal),
+            (self.impulse, before.impulse),
+            (self.friction, before.friction),
+        ):
+            mine[new] = theirs[old]
+        self.active[: len(new)] = new
+        self.active_count[0] = len(new)
+
+    def _keys(self, which: NDArray[np.integer]) -> NDArray[np.uint64]:
+        """One number for what each pair consists of, (k,)."""
+        key = self.kind[which].astype(np.uint64)
+        for column in (*self.particles[which].T, *self.body[which].T):
+            # Multiplying by an odd number and mixing in the high bits keeps different pairs apart in 64 bits.
+            key = key * np.uint64(0x9E3779B97F4A7C15) + (column.astype(np.int64) + 2).astype(np.uint64)
+            key ^= key >> np.uint64(29)
+        return key
 
 
 @kernel
 def repeat_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, dt: float) -> None:
     """Give each contact what it needed in the last step; x, v (n, 3), inverse_mass (n,), dt [s]."""
-    impulse = np.zeros(3)
     for entry in range(pairs.active_count[0]):
         s = pairs.active[entry]
-        for axis in range(3):
-            impulse[axis] = pairs.impulse[s] * pairs.normal[s, axis] + pairs.friction[s, axis]
-        _apply(x, v, inverse_mass, pairs, s, impulse, dt)
+        size = pairs.impulse[s]
+        _apply(
+            x, v, inverse_mass, pairs, s,
+            size * pairs.normal[s, 0] + pairs.friction[s, 0],
+            size * pairs.normal[s, 1] + pairs.friction[s, 1],
+            size * pairs.normal[s, 2] + pairs.friction[s, 2],
+            dt,
+        )  # fmt: skip
 
 
 @kernel
@@ -114,33 +172,33 @@ def hold_pairs(
     search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near comes out.
     """
     count = _find_active(x, v, pairs, body_x, dt, moved)
-    velocity = np.zeros(3)
-    impulse = np.zeros(3)
     for _ in range(_SWEEPS if count > 0 else 0):
         for entry in range(count):
             s = pairs.active[entry]
             compliance = _compliance(inverse_mass, pairs, s)
             if compliance <= 0.0:
                 continue
-            approach = _relative_velocity(v, pairs, s, velocity)
+            vx, vy, vz = _relative_velocity(v, pairs, s)
+            nx, ny, nz = pairs.normal[s, 0], pairs.normal[s, 1], pairs.normal[s, 2]
+            approach = vx * nx + vy * ny + vz * nz
             # A gap that was still open may close within the step, no more.
             wanted = -max(pairs.gap[s], 0.0) / dt
             before = pairs.impulse[s]
-            pairs.impulse[s] = max(before + (wanted - approach) / compliance, 0.0)
-            size = 0.0
-            for axis in range(3):
-                across = velocity[axis] - approach * pairs.normal[s, axis]
-                impulse[axis] = pairs.friction[s, axis] - across / compliance
-                size += impulse[axis] * impulse[axis]
-            size = np.sqrt(size)
-            limit = friction * pairs.impulse[s]
+            now = max(before + (wanted - approach) / compliance, 0.0)
+            pairs.impulse[s] = now
+            fx, fy, fz = pairs.friction[s, 0], pairs.friction[s, 1], pairs.friction[s, 2]
+            tx = fx - (vx - approach * nx) / compliance
+            ty = fy - (vy - approach * ny) / compliance
+            tz = fz - (vz - approach * nz) / compliance
+            size = np.sqrt(tx * tx + ty * ty + tz * tz)
+            limit = friction * now
             share = limit / size if size > limit else 1.0
-            for axis in range(3):
-                held = share * impulse[axis]
-                change = held - pairs.friction[s, axis]
-                pairs.friction[s, axis] = held
-                impulse[axis] = change + (pairs.impulse[s] - before) * pairs.normal[s, axis]
-            _apply(x, v, inverse_mass, pairs, s, impulse, dt)
+            tx, ty, tz = share * tx, share * ty, share * tz
+            pairs.friction[s, 0], pairs.friction[s, 1], pairs.friction[s, 2] = tx, ty, tz
+            change = now - before
+            _apply(
+                x, v, inverse_mass, pairs, s, change * nx + tx - fx, change * ny + ty - fy, change * nz + tz - fz, dt
+            )
     for entry in range(count):
         s = pairs.active[entry]
         if pairs.gap[s] >= 0.0:
@@ -149,7 +207,7 @@ def hold_pairs(
         compliance = _compliance(inverse_mass, pairs, s)
         if compliance <= 0.0:
             continue
-        for k in range(3):
+        for k in range(4):
             i = pairs.particles[s, k]
             if i >= 0:
                 share = pairs.weight[s, k] * inverse_mass[i] / compliance
@@ -162,13 +220,13 @@ def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: 
     """Measure the pairs that can have come near; list those in contact, with weights, normal and gap."""
     count = 0
     closest = np.zeros(3)
-    velocity = np.zeros(3)
-    for s in range(pairs.kind.shape[0]):
+    for entry in range(pairs.listed_count[0]):
+        s = pairs.listed[entry]
         # Nothing can have come nearer than by the way that its particles went since the search.
-        reach = _REACH * pairs.offset[s]
+        reach = COUNTS_FROM * pairs.offset[s]
         squared = np.inf
-        if pairs.distance[s] - reach <= _way(pairs, s, moved):
-            squared = _measure(x, pairs, s, body_x, closest)
+        if pairs.listed_distance[entry] - reach <= _way(pairs, s, moved):
+            squared = measure_pair(x, pairs, s, body_x, closest)
         if squared >= reach * reach or squared < 1e-24:
             pairs.impulse[s] = 0.0
             for axis in range(3):
@@ -177,7 +235,9 @@ def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: 
         distance = np.sqrt(squared)
         for axis in range(3):
             pairs.normal[s, axis] = closest[axis] / distance
-        pairs.gap[s] = distance - pairs.offset[s] - dt * _relative_velocity(v, pairs, s, velocity)
+        vx, vy, vz = _relative_velocity(v, pairs, s)
+        approach = vx * pairs.normal[s, 0] + vy * pairs.normal[s, 1] + vz * pairs.normal[s, 2]
+        pairs.gap[s] = distance - pairs.offset[s] - dt * approach
         pairs.active[count] = s
         count += 1
     pairs.active_count[0] = count
@@ -186,32 +246,50 @@ def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: 
 
 @kernel
 def _way(pairs: PairContacts, s: int, moved: Floats) -> float:
-    """How much nearer the cloth of pair s can have come, from the way of each particle (n,) [m]."""
-    p, q, r = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2]
-    farthest = max(moved[p], moved[q])
-    return float(max(farthest, moved[r]) if r >= 0 else farthest)
+    """How much nearer the parts of pair s can have come, from the way of each particle (n,) [m]."""
+    kind = pairs.kind[s]
+    p, q, a, b = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2], pairs.particles[s, 3]
+    if kind == BODY_SIDE:
+        return float(max(moved[p], moved[q]))
+    if kind == BODY_VERTEX:
+        return float(max(moved[p], max(moved[q], moved[a])))
+    if kind == CLOTH_VERTEX:
+        return float(moved[p] + max(moved[q], max(moved[a], moved[b])))
+    return float(max(moved[p], moved[q]) + max(moved[a], moved[b]))
 
 
 @kernel
-def _measure(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats) -> float:
+def measure_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats) -> float:
     """Squared distance of pair s [m^2]; sets its weights and the vector between its closest points, closest (3,)."""
-    p, q, r = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2]
-    a, b = pairs.body[s, 0], pairs.body[s, 1]
-    along = 0.0
-    if pairs.kind[s] == BODY_SIDE:
-        squared, w0, along = segment_segment(x[p], x[q], body_x[a], body_x[b])
+    kind = pairs.kind[s]
+    p, q, a, b = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2], pairs.particles[s, 3]
+    if kind == CLOTH_SIDE:
+        squared, w0, w1 = segment_segment(x[p], x[q], x[a], x[b])
         pairs.weight[s, 0], pairs.weight[s, 1] = 1.0 - w0, w0
+        pairs.weight[s, 2], pairs.weight[s, 3] = w1 - 1.0, -w1
+    elif kind == CLOTH_VERTEX:
+        squared, w0, w1, w2 = point_triangle(x[p], x[q], x[a], x[b])
+        pairs.weight[s, 0], pairs.weight[s, 1], pairs.weight[s, 2], pairs.weight[s, 3] = 1.0, -w0, -w1, -w2
+    elif kind == BODY_SIDE:
+        c, d = pairs.body[s, 0], pairs.body[s, 1]
+        squared, w0, w1 = segment_segment(x[p], x[q], body_x[c], body_x[d])
+        pairs.weight[s, 0], pairs.weight[s, 1] = 1.0 - w0, w0
+        for axis in range(3):
+            closest[axis] = -(1.0 - w1) * body_x[c, axis] - w1 * body_x[d, axis]
     else:
-        squared, w0, w1, w2 = point_triangle(body_x[a], x[p], x[q], x[r])
+        c = pairs.body[s, 0]
+        squared, w0, w1, w2 = point_triangle(body_x[c], x[p], x[q], x[a])
         pairs.weight[s, 0], pairs.weight[s, 1], pairs.weight[s, 2] = w0, w1, w2
+        for axis in range(3):
+            closest[axis] = -body_x[c, axis]
+    if kind == CLOTH_SIDE or kind == CLOTH_VERTEX:
+        for axis in range(3):
+            closest[axis] = pairs.weight[s, 2] * x[a, axis] + pairs.weight[s, 3] * x[b, axis]
+    elif kind == BODY_VERTEX:
+        for axis in range(3):
+            closest[axis] += pairs.weight[s, 2] * x[a, axis]
     for axis in range(3):
-        value = -body_x[a, axis]
-        for k in range(3):
-            if pairs.particles[s, k] >= 0:
-                value += pairs.weight[s, k] * x[pairs.particles[s, k], axis]
-        if b >= 0:
-            value -= along * (body_x[b, axis] - body_x[a, axis])
-        closest[axis] = value
+        closest[axis] += pairs.weight[s, 0] * x[p, axis] + pairs.weight[s, 1] * x[q, axis]
     return float(squared)
 
 
@@ -219,33 +297,39 @@ def _measure(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Fl
 def _compliance(inverse_mass: Floats, pairs: PairContacts, s: int) -> float:
     """Relative velocity that a unit impulse gives [1/kg]."""
     compliance = 0.0
-    for k in range(3):
+    for k in range(4):
         if pairs.particles[s, k] >= 0:
             compliance += pairs.weight[s, k] * pairs.weight[s, k] * inverse_mass[pairs.particles[s, k]]
     return compliance
 
 
 @kernel
-def _relative_velocity(v: Floats, pairs: PairContacts, s: int, velocity: Floats) -> float:
-    """Velocity of the cloth at the closest point, velocity (3,); returns its part along the normal [m/s]."""
-    normal = 0.0
-    for axis in range(3):
-        velocity[axis] = 0.0
-        for k in range(3):
-            if pairs.particles[s, k] >= 0:
-                velocity[axis] += pairs.weight[s, k] * v[pairs.particles[s, k], axis]
-        normal += velocity[axis] * pairs.normal[s, axis]
-    return normal
+def _relative_velocity(v: Floats, pairs: PairContacts, s: int) -> tuple[float, float, float]:
+    """Velocity of the first part's closest point relative to the other's [m/s]."""
+    vx, vy, vz = 0.0, 0.0, 0.0
+    for k in range(4):
+        i = pairs.particles[s, k]
+        if i >= 0:
+            weight = pairs.weight[s, k]
+            vx += weight * v[i, 0]
+            vy += weight * v[i, 1]
+            vz += weight * v[i, 2]
+    return vx, vy, vz
 
 
 @kernel
-def _apply(x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, s: int, impulse: Floats, dt: float) -> None:
-    """Apply an impulse (3,) [N s] at the closest point of pair s."""
-    for k in range(3):
+def _apply(
+    x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, s: int, px: float, py: float, pz: float, dt: float
+) -> None:
+    """Apply an impulse [N s] at the closest points of pair s."""
+    for k in range(4):
         i = pairs.particles[s, k]
         if i < 0:
             continue
         share = pairs.weight[s, k] * inverse_mass[i]
-        for axis in range(3):
-            v[i, axis] += share * impulse[axis]
-            x[i, axis] += share * impulse[axis] * dt
+        v[i, 0] += share * px
+        v[i, 1] += share * py
+        v[i, 2] += share * pz
+        x[i, 0] += share * px * dt
+        x[i, 1] += share * py * dt
+        x[i, 2] += share * pz * dt

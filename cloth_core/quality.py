@@ -29,6 +29,7 @@ class Settings:
         time_step: [s]; None takes `safety` times the stable one. A longer one than that is cut into sub-steps.
         safety: share of the stable time step that is used.
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
+        cloth_offset: distance at which layers of cloth are held apart [m].
         push_speed: fastest way out for cloth that lies nearer than the offset [m/s].
         closing_time: time within which the seams are drawn together [s].
         sewing_time: after this time seams that are still farther open than merge_distance are given up [s].
@@ -45,6 +46,7 @@ class Settings:
     time_step: float | None = None
     safety: float = 0.9
     contact_offset: float = 0.003
+    cloth_offset: float = 0.001
     push_speed: float = 0.5
     closing_time: float = 0.8
     sewing_time: float = 3.0

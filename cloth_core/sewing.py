@@ -21,6 +21,9 @@ __all__ = ["SeamPull", "build_seam_pull", "seam_forces", "seam_gaps"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+# Damping ratio of a seam spring between its two particles: they hardly swing past each other.
+_DAMPING_RATIO = 0.3
+
 
 class SeamPull(NamedTuple):
     """Springs that close the seams.
@@ -28,48 +31,52 @@ class SeamPull(NamedTuple):
     Attributes:
         pairs: particles to join, (p, 2).
         start_length: their distance at the start [m], (p,).
-        stiffness: [N/m]; damping: [N s/m]; largest_force: [N].
+        damping: [N s/m], (p,).
+        stiffness: [N/m]; largest_force: [N].
     """
 
     pairs: Ints
     start_length: Floats
+    damping: Floats
     stiffness: float
-    damping: float
     largest_force: float
 
 
-def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats) -> SeamPull:
+def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats, softness: float = 1.0) -> SeamPull:
     """Seam springs of a garment at positions x (n, 3) [m].
 
     They are as stiff as the cloth itself, so that they do not shorten the time step, and pull at most as hard as a
-    stretch of the fabric by its strain limit would.
+    stretch of the fabric by its strain limit would; softness: what the cloth's own stiffness is multiplied by.
     """
     if garment.seams:
         both = np.concatenate([np.stack([s.first, s.second], 1) for s in garment.seams])
         pairs = np.unique(np.sort(both[both[:, 0] != both[:, 1]], axis=1), axis=0).astype(np.int32)
     else:
         pairs = np.zeros((0, 2), dtype=np.int32)
-    structural = 0.5 * (fabric.structural_warp + fabric.structural_weft)
+    structural = 0.5 * softness * (fabric.structural_warp + fabric.structural_weft)
+    stiffness = 0.5 * structural
+    mass = fabric.area_density * garment.particle_areas[pairs]
+    reduced = mass[:, 0] * mass[:, 1] / np.maximum(mass.sum(axis=1), 1e-300)
     return SeamPull(
         pairs=pairs,
         start_length=np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1),
-        stiffness=0.5 * structural,
-        damping=0.5 * structural * fabric.damping_time,
+        damping=2.0 * _DAMPING_RATIO * np.sqrt(stiffness * reduced),
+        stiffness=stiffness,
         largest_force=max(fabric.strain_limit, 0.05) * structural * garment.spacing,
     )
 
 
 @kernel
 def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Floats) -> None:
-    """Pull both ends of each pair to openness * start_length; x, v, force (n, 3) [m, m/s, N]."""
+    """Pull both ends of each pair to openness * start_length; x, v, force (3, n) [m, m/s, N]."""
     for s in range(seam.pairs.shape[0]):
         i, j = seam.pairs[s, 0], seam.pairs[s, 1]
-        dx = x[j, 0] - x[i, 0]
-        dy = x[j, 1] - x[i, 1]
-        dz = x[j, 2] - x[i, 2]
-        ux = v[j, 0] - v[i, 0]
-        uy = v[j, 1] - v[i, 1]
-        uz = v[j, 2] - v[i, 2]
+        dx = x[0, j] - x[0, i]
+        dy = x[1, j] - x[1, i]
+        dz = x[2, j] - x[2, i]
+        ux = v[0, j] - v[0, i]
+        uy = v[1, j] - v[1, i]
+        uz = v[2, j] - v[2, i]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         share = seam.stiffness
         if openness > 0.0:
@@ -78,15 +85,16 @@ def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Fl
         pull = share * length
         if pull > seam.largest_force:
             share *= seam.largest_force / pull
-        fx = share * dx + seam.damping * ux
-        fy = share * dy + seam.damping * uy
-        fz = share * dz + seam.damping * uz
-        force[i, 0] += fx
-        force[i, 1] += fy
-        force[i, 2] += fz
-        force[j, 0] -= fx
-        force[j, 1] -= fy
-        force[j, 2] -= fz
+        damping = seam.damping[s]
+        fx = share * dx + damping * ux
+        fy = share * dy + damping * uy
+        fz = share * dz + damping * uz
+        force[0, i] += fx
+        force[1, i] += fy
+        force[2, i] += fz
+        force[0, j] -= fx
+        force[1, j] -= fy
+        force[2, j] -= fz
 
 
 def seam_gaps(garment: Garment, x: Floats) -> dict[str, float]:

@@ -23,7 +23,7 @@ from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
-from cloth_core.step import run_steps
+from cloth_core.step import Workspace, run_steps
 from cloth_core.term_cost import term_costs
 
 __all__ = ["Progress", "Simulation"]
@@ -40,6 +40,14 @@ _CHECK_INTERVAL = 1.0 / 60.0
 # Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH, _MOST_REACH = 0.001, 0.006
+# Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
+_SEWING_INTERVAL = 0.05
+_STALLED = 0.9
+# Share of the structural stiffness on the way to rest; it grows to all of it in about this time [s] when movements are
+# this many times what counts as rest.
+_SOFTNESS = 1.0 / 16.0
+_STIFFENING_TIME = 0.1
+_NEARLY = 6.0
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -92,6 +100,11 @@ class Simulation:
         self._warnings: list[str] = []
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
+        self._widest_gap = math.inf
+        self._kinetic_energy = 0.0
+        self._calming = True
+        self._stiffening = False
+        self._next_sewing = 0.0
         self._speed = 0.0
         garment = scene.garment
         self._use(Model(scene, sewing=bool(garment.seams)), garment.start, np.zeros_like(garment.start))
@@ -158,10 +171,14 @@ class Simulation:
         """Run until the cloth lies still (paper, step 5); on_tick may return True to stop early.
 
         At rest means that within `rest_window` no particle moves by more than `rest_displacement`, and that none is
-        about to: a swing that turns round is none (`cloth_core.rest`).
-        Extra air drag (`settle_drag`) calms the swinging; the resting shape does not depend on it.
+        about to: a swing that turns round is none (`cloth_core.rest`). The way there is not physical in time, only its
+        end is the equilibrium: extra air drag (`settle_drag`) calms the swinging, and a run from the start sews and
+        drapes with soft structural springs first (`Model.soften`), which allows longer steps, and gets their true
+        stiffness when it is nearly at rest.
         """
         self._seeking_rest = True
+        if self.steps == 0:
+            self.model.soften(_SOFTNESS)
         self._refresh_time_step()
         reason = "stopped before it came to rest"
         while True:
@@ -180,6 +197,9 @@ class Simulation:
             if on_tick is not None and on_tick(self):
                 break
         self._seeking_rest = False
+        if self.model.softness < 1.0:
+            self.model.soften(1.0)
+            self._refresh_time_step()
         return self.report(reason)
 
     def reset(self) -> None:
@@ -196,7 +216,7 @@ class Simulation:
         while done < count:
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
             did = run_steps(
-                self._x, self._v, self._force, self._moved, self._terms, self._contact_settings, self._contacts, dt,
+                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, dt,
                 count - done, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
@@ -208,6 +228,11 @@ class Simulation:
         self.steps += done
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
+        if self._seeking_rest and self.phase != SEWING:
+            if self._calming:
+                self._calm()
+            if self._stiffening and self.model.softness < 1.0:
+                self._stiffen()
         if self.phase == SEWING:
             self._sew()
         elif self._rest.due(self.time):
@@ -223,14 +248,16 @@ class Simulation:
 
     def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
         """Take over a model and bring the state into its numbering, keeping momentum."""
+        softness = self.model.softness if hasattr(self, "model") else 1.0
         self.model = model
         garment = self.scene.garment
         weight = garment.particle_areas
         self._x = model.gather(unsewn_x, weight)
         self._v = model.gather(unsewn_v, weight)
         self._v[model.inverse_mass == 0.0] = 0.0
-        self._force = np.zeros_like(self._x)
+        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
+        model.soften(softness)
         self._contact_settings = model.contact_settings()
         self._stable = model.stable_step(self._x, self._air_drag())
         self._contacts = ContactState.none()
@@ -288,17 +315,24 @@ class Simulation:
         )
 
     def _sew(self) -> None:
-        """Merge the seams once all are closed, or the time for sewing is over."""
+        """Merge the seams once all are closed, or no longer get narrower, or the time for sewing is over."""
         settings = self.scene.settings
-        if self.time < settings.closing_time:
+        if self.time < max(settings.closing_time, self._next_sewing):
             return
+        self._next_sewing = self.time + _SEWING_INTERVAL
         gaps = seam_gaps(self.scene.garment, self.positions)
+        widest, before = max(gaps.values()), self._widest_gap
+        self._widest_gap = widest
         late = self.time >= settings.sewing_time
-        if max(gaps.values()) > settings.seam_tolerance and not late:
+        if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return
-        # A tight garment pulls its last millimetres open again; merging the points closes them.
-        model = self._merged(gaps, settings.merge_distance if late else settings.seam_tolerance)
-        if late and self._crosses_body(model):
+        # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
+        model = self._merged(gaps, settings.merge_distance)
+        if (model.number != self.scene.garment.merged_indices).any() and not late:
+            return
+        if self._crossings(model) > self._crossings(self.model):
+            if not late:
+                return
             model = self._merged(gaps, settings.seam_tolerance)
         closed = {seam.name for seam in model.closed}
         self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
@@ -311,13 +345,17 @@ class Simulation:
         """The model in which all seams narrower than limit [m] are merged."""
         return Model(self.scene, closed=tuple(s for s in self.scene.garment.seams if gaps[s.name] <= limit))
 
-    def _crosses_body(self, model: Model) -> bool:
-        """Whether the present state, in a model's numbering, passes through the body anywhere."""
-        body = self.scene.body
-        if body is None:
-            return False
+    def _crossings(self, model: Model) -> int:
+        """Sides that pass through the body or the cloth when the present state is put into a model's numbering."""
         x = model.gather(self.positions, self.scene.garment.particle_areas)
-        return len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree)) > 0
+        # Triangles that will share a point once sewn are neighbours already.
+        identity = np.zeros(model.particle_count, dtype=np.int32)
+        identity[model.number] = self.scene.garment.merged_indices
+        crossings = len(self_crossing_edges(x, model.triangles, identity))
+        body = self.scene.body
+        if body is not None:
+            crossings += len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
+        return crossings
 
     def _open_window(self) -> None:
         settings, gravity = self.scene.settings, self.scene.gravity
@@ -327,11 +365,38 @@ class Simulation:
         self._rest.open(self.time, self._x)
 
     def _check_rest(self) -> None:
-        self.settled = self._rest.at_rest(self.time, self._x)
+        at_rest = self._rest.at_rest(self.time, self._x)
+        if self.model.softness < 1.0:
+            movement = self._rest.movement or 0.0
+            self._stiffening = movement <= _NEARLY * self.scene.settings.rest_displacement
+            return
+        movement = self._rest.movement or 0.0
+        if self._seeking_rest and self._calming and movement <= self.scene.settings.rest_displacement:
+            # Whether it stays is seen when nothing stops it.
+            self._calming = False
+            self._open_window()
+            return
+        self._calming = not at_rest and (self._calming or movement > self.scene.settings.rest_displacement)
+        self.settled = at_rest
         if self.settled:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
+
+    def _calm(self) -> None:
+        """Kinetic damping (Cundall 1976): what swings is stopped where its kinetic energy is largest."""
+        energy = 0.5 * float((self.model.mass * (self._v**2).sum(axis=1)).sum())
+        if energy < self._kinetic_energy:
+            self._v[:] = 0.0
+            energy = 0.0
+        self._kinetic_energy = energy
+
+    def _stiffen(self) -> None:
+        """A little more of the true stiffness."""
+        growth = (1.0 / _SOFTNESS) ** (self._dt * _TICK_STEPS / _STIFFENING_TIME)
+        self.model.soften(self.model.softness * growth)
+        self._refresh_time_step()
+        self._open_window()
 
     def _rest_estimate(self) -> float | None:
         """Rest time if the movement per window goes on shrinking at the present rate."""

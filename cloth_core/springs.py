@@ -16,11 +16,15 @@ from numpy.typing import NDArray
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
+from cloth_core.runs import Runs, find_runs
 
 __all__ = ["SpringFamily", "Springs", "build_springs", "spring_forces", "spring_strains"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+# Squared distance [m^2] below which two particles have no direction from one to the other.
+_COINCIDENT = 1e-24
 
 
 class SpringFamily(IntEnum):
@@ -56,6 +60,28 @@ class Springs:
         Two springs between the same particles act as one: k = k1 + k2, L0 = (k1 L1 + k2 L2) / k.
         """
         return _combined(np.asarray(number[self.pairs], dtype=np.int32), self.rest_length, self.stiffness, self.family)
+
+    def runs(self, soft_stiffness: Floats) -> MixedRuns:
+        """The springs as runs whose stiffness is a mixture of soft_stiffness (s,) [N/m] and their own."""
+        return MixedRuns(find_runs(self.pairs, np.stack([self.rest_length, soft_stiffness, self.stiffness], axis=1)))
+
+
+@dataclass(frozen=True)
+class MixedRuns:
+    """Runs with the values (L0 [m], soft k [N/m], k [N/m])."""
+
+    all: Runs
+
+    def mixed(self, softness: float) -> Runs:
+        """The runs with the values (L0, soft k + softness * (k - soft k))."""
+        first, length, value, rest, rest_value = self.all
+        return Runs(first, length, _mixture(value, softness), rest, _mixture(rest_value, softness))
+
+
+def _mixture(value: Floats, softness: float) -> Floats:
+    soft, full = value[:, 1], value[:, 2]
+    stiffness = full if softness == 1.0 else soft + softness * (full - soft)
+    return np.ascontiguousarray(np.stack([value[:, 0], stiffness], axis=1))
 
 
 def build_springs(garment: Garment, fabric: Fabric) -> Springs:
@@ -134,31 +160,69 @@ def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np
 
 
 @kernel
-def spring_forces(
-    x: Floats, v: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats, damping_time: float, force: Floats
-) -> None:
+def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, force: Floats, scratch: Floats) -> None:
     """Add F = k (1 - L0 / |d|) d and the damping k tau (dv . d / |d|) d / |d| to both ends (paper, section III).
 
-    Shapes: x, v, force (n, 3) [m, m/s, N]; pairs (s, 2); rest_length, stiffness (s,); damping_time tau [s].
-    Coincident ends have no direction and exert nothing.
+    Shapes: x, v, force (3, n) [m, m/s, N]; springs with the values (L0 [m], k [N/m]); damping_time tau [s]; scratch
+    (3, at least n). Coincident ends have no direction and exert nothing.
     """
-    for s in range(pairs.shape[0]):
-        i, j = pairs[s, 0], pairs[s, 1]
-        dx = x[j, 0] - x[i, 0]
-        dy = x[j, 1] - x[i, 1]
-        dz = x[j, 2] - x[i, 2]
-        squared = dx * dx + dy * dy + dz * dz
-        if squared < 1e-24:
-            continue
-        rate = dx * (v[j, 0] - v[i, 0]) + dy * (v[j, 1] - v[i, 1]) + dz * (v[j, 2] - v[i, 2])
-        factor = stiffness[s] * (1.0 - rest_length[s] / np.sqrt(squared) + damping_time * rate / squared)
-        fx, fy, fz = factor * dx, factor * dy, factor * dz
-        force[i, 0] += fx
-        force[i, 1] += fy
-        force[i, 2] += fz
-        force[j, 0] -= fx
-        force[j, 1] -= fy
-        force[j, 2] -= fz
+    px, py, pz = x[0], x[1], x[2]
+    vx, vy, vz = v[0], v[1], v[2]
+    fx, fy, fz = force[0], force[1], force[2]
+    tx, ty, tz = scratch[0], scratch[1], scratch[2]
+    # A run's loops have no branches and run over contiguous slices, all in this one function: a call for each run would
+    # cost as much as the run.
+    for r in range(springs.length.shape[0]):
+        i, j, n = springs.first[r, 0], springs.first[r, 1], springs.length[r]
+        rest_length, stiffness = springs.value[r, 0], springs.value[r, 1]
+        xi, yi, zi = px[i : i + n], py[i : i + n], pz[i : i + n]
+        xj, yj, zj = px[j : j + n], py[j : j + n], pz[j : j + n]
+        if damping_time > 0.0:
+            ui, vi, wi = vx[i : i + n], vy[i : i + n], vz[i : i + n]
+            uj, vj, wj = vx[j : j + n], vy[j : j + n], vz[j : j + n]
+            for s in range(n):
+                dx, dy, dz = xj[s] - xi[s], yj[s] - yi[s], zj[s] - zi[s]
+                inverse = 1.0 / np.sqrt(max(dx * dx + dy * dy + dz * dz, _COINCIDENT))
+                rate = dx * (uj[s] - ui[s]) + dy * (vj[s] - vi[s]) + dz * (wj[s] - wi[s])
+                factor = stiffness * (1.0 - rest_length * inverse + damping_time * rate * inverse * inverse)
+                tx[s] = factor * dx
+                ty[s] = factor * dy
+                tz[s] = factor * dz
+        else:
+            for s in range(n):
+                dx, dy, dz = xj[s] - xi[s], yj[s] - yi[s], zj[s] - zi[s]
+                factor = stiffness * (1.0 - rest_length / np.sqrt(max(dx * dx + dy * dy + dz * dz, _COINCIDENT)))
+                tx[s] = factor * dx
+                ty[s] = factor * dy
+                tz[s] = factor * dz
+        ax, ay, az = fx[i : i + n], fy[i : i + n], fz[i : i + n]
+        bx, by, bz = fx[j : j + n], fy[j : j + n], fz[j : j + n]
+        for s in range(n):
+            ax[s] += tx[s]
+        for s in range(n):
+            ay[s] += ty[s]
+        for s in range(n):
+            az[s] += tz[s]
+        for s in range(n):
+            bx[s] -= tx[s]
+        for s in range(n):
+            by[s] -= ty[s]
+        for s in range(n):
+            bz[s] -= tz[s]
+    for s in range(springs.rest.shape[0]):
+        i, j = springs.rest[s, 0], springs.rest[s, 1]
+        dx, dy, dz = px[j] - px[i], py[j] - py[i], pz[j] - pz[i]
+        rate = dx * (vx[j] - vx[i]) + dy * (vy[j] - vy[i]) + dz * (vz[j] - vz[i])
+        inverse = 1.0 / np.sqrt(max(dx * dx + dy * dy + dz * dz, _COINCIDENT))
+        stretch = 1.0 - springs.rest_value[s, 0] * inverse + damping_time * rate * inverse * inverse
+        factor = springs.rest_value[s, 1] * stretch
+        dx, dy, dz = factor * dx, factor * dy, factor * dz
+        fx[i] += dx
+        fy[i] += dy
+        fz[i] += dz
+        fx[j] -= dx
+        fy[j] -= dy
+        fz[j] -= dz
 
 
 def spring_strains(x: Floats, springs: Springs) -> Floats:

@@ -268,7 +268,10 @@ def _together() -> list[StabilityCase]:
         return measure_blow_up(scene, rest_first=3.0)
 
     rows: tuple[tuple[str, Callable[[], BlowUp]], ...] = (
-        *((f"{name}, flat", lambda name=name: flat(Fabric.preset(name))) for name in ("silk", "cotton_poplin", "denim", "leather")),  # type: ignore[misc]  # noqa: E501
+        *(
+            (f"{name}, flat", lambda name=name: flat(Fabric.preset(name)))
+            for name in ("silk", "cotton_poplin", "denim", "leather")
+        ),  # type: ignore[misc]  # noqa: E501
         ("cotton poplin, hung at two corners", hung),
         ("cotton poplin on a table, no friction", lambda: on_a_table(0.0)),
         ("cotton poplin draped over a block", lambda: over_an_edge(0.35)),

@@ -1,4 +1,8 @@
-"""One time step: forces of the terms that the scene has, equation 6, contact; many steps in one compiled loop."""
+"""One time step: forces of the terms that the scene has, equation 6, contact; many steps in one compiled loop.
+
+The state has a row for each particle, (n, 3): that is what contact wants, which looks at particles here and there. Forces
+run along the rows of the lattice and want a row for each axis, (3, n): they work on a copy in that layout.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +16,12 @@ from cloth_core.contact import ContactSettings, ContactState, keep_within_travel
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel
+from cloth_core.runs import Runs
 from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
 from cloth_core.strain_limit import StrainLimit, hold_strain, repeat_strain_impulses, watch_strain
 
-__all__ = ["ForceTerms", "run_steps", "total_force"]
+__all__ = ["ForceTerms", "Workspace", "run_steps", "total_force"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -29,53 +34,77 @@ class ForceTerms(NamedTuple):
         mass, inverse_mass: [kg, 1/kg], (n,); the inverse is 0 for a particle that is held.
         gravity: [m/s^2], (3,).
         air_drag: k_a [1/s].
-        spring_pairs (s, 2), spring_rest_length (s,) [m], spring_stiffness (s,) [N/m], spring_damping_time [s].
-        lines (l, 3), line_stiffness (l,), hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m].
+        springs: all springs, with the values (L0 [m], k [N/m]); spring_damping_time: [s].
+        lines, hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m]: bending elements.
         bending_damping_time: [s].
         seam: pull of the open seams.
-        strain_limit: longest lengths of the structural springs.
+        spring_pairs (s, 2), strain_limit: pairs and longest lengths of the springs.
     """
 
     mass: Floats
     inverse_mass: Floats
     gravity: Floats
     air_drag: float
-    spring_pairs: Ints
-    spring_rest_length: Floats
-    spring_stiffness: Floats
+    springs: Runs
     spring_damping_time: float
-    lines: Ints
-    line_stiffness: Floats
+    lines: Runs
     hinges: Ints
     hinge_weights: Floats
     hinge_stiffness: Floats
     bending_damping_time: float
     seam: SeamPull
+    spring_pairs: Ints
     strain_limit: StrainLimit
 
 
+class Workspace(NamedTuple):
+    """Copies of the state and the forces with a row for each axis, (3, n) each; nothing in it outlives a step.
+
+    Attributes:
+        x, v, force: [m, m/s, N].
+        ahead: x + tau v, with the damping time of bending [m].
+        scratch: forces of one run [N].
+    """
+
+    x: Floats
+    v: Floats
+    force: Floats
+    ahead: Floats
+    scratch: Floats
+
+    @classmethod
+    def of(cls, particles: int) -> Workspace:
+        """Room for a number of particles."""
+        return cls(*(np.zeros((3, particles)) for _ in range(5)))
+
+
 @kernel
-def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, force: Floats) -> None:
-    """Sum of all forces on each particle (paper, equation 1), written to force (n, 3) [N]."""
-    gravity_forces(terms.mass, terms.gravity, force)
+def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, work: Workspace) -> None:
+    """Sum of all forces on each particle at x, v (n, 3) (paper, equation 1), written to work.force (3, n) [N]."""
+    tau = terms.bending_damping_time
+    for axis in range(3):
+        px, pv, ahead = work.x[axis], work.v[axis], work.ahead[axis]
+        for i in range(x.shape[0]):
+            px[i] = x[i, axis]
+            pv[i] = v[i, axis]
+        for i in range(x.shape[0]):
+            ahead[i] = px[i] + tau * pv[i]
+    gravity_forces(terms.mass, terms.gravity, work.force)
     if terms.air_drag != 0.0:
-        air_drag_forces(v, terms.mass, terms.air_drag, force)
-    spring_forces(
-        x, v, terms.spring_pairs, terms.spring_rest_length, terms.spring_stiffness, terms.spring_damping_time, force
-    )
+        air_drag_forces(work.v, terms.mass, terms.air_drag, work.force)
+    spring_forces(work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch)
     bending_forces(
-        x, v, terms.lines, terms.line_stiffness, terms.hinges, terms.hinge_weights, terms.hinge_stiffness,
-        terms.bending_damping_time, force,
-    )  # fmt: skip
+        work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
+    )
     if terms.seam.pairs.shape[0] > 0:
-        seam_forces(x, v, terms.seam, openness, force)
+        seam_forces(work.x, work.v, terms.seam, openness, work.force)
 
 
 @kernel
 def run_steps(
     x: Floats,
     v: Floats,
-    force: Floats,
+    work: Workspace,
     moved: Floats,
     terms: ForceTerms,
     contact: ContactSettings,
@@ -87,19 +116,19 @@ def run_steps(
 ) -> int:
     """Up to `count` steps of dt [s], in place; the number done, fewer when contacts must be searched anew.
 
-    x, v, force (n, 3) [m, m/s, N]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
+    x, v (n, 3) [m, m/s]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
     """
     watch_strain(x, terms.spring_pairs, terms.strain_limit)
     for step in range(count):
         openness = max(openness - openness_rate * dt, 0.0)
-        total_force(x, v, terms, openness, force)
-        semi_implicit_euler(x, v, force, terms.inverse_mass, dt)
+        total_force(x, v, terms, openness, work)
+        semi_implicit_euler(x, v, work.force, terms.inverse_mass, dt)
         repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         spent = False
         if contact.active:
             spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
         hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if contact.active and (keep_within_travel(x, contacts, moved) or spent):
+        if contact.active and (keep_within_travel(x, v, contacts, moved) or spent):
             return step + 1
     return count

@@ -14,7 +14,7 @@ from cloth_core.contact import ContactSettings, ContactState, resolve_contacts
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.sewing import seam_forces
 from cloth_core.springs import spring_forces
-from cloth_core.step import ForceTerms
+from cloth_core.step import ForceTerms, Workspace, total_force
 from cloth_core.strain_limit import hold_strain
 
 __all__ = ["term_costs"]
@@ -31,24 +31,24 @@ def term_costs(
 
     The structural, shear and bending springs run in one loop; its time is shared out by their number elsewhere.
     """
-    force = np.zeros_like(x)
+    work = Workspace.of(len(x))
+    total_force(x, v, terms, 0.0, work)  # fills the copies that the terms work on
     # Contacts and strain limit remember impulses; measuring must not touch those of the run.
     limit, contacts = deepcopy((terms.strain_limit, contacts))
     measured: dict[str, Callable[[], object]] = {
-        "gravity": lambda: gravity_forces(terms.mass, terms.gravity, force),
-        "air drag": lambda: air_drag_forces(v, terms.mass, terms.air_drag, force),
+        "gravity": lambda: gravity_forces(terms.mass, terms.gravity, work.force),
+        "air drag": lambda: air_drag_forces(work.v, terms.mass, terms.air_drag, work.force),
         "structural springs": lambda: spring_forces(
-            x, v, terms.spring_pairs, terms.spring_rest_length, terms.spring_stiffness, terms.spring_damping_time, force
+            work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch
         ),
         "bending": lambda: bending_forces(
-            x, v, terms.lines, terms.line_stiffness, terms.hinges, terms.hinge_weights, terms.hinge_stiffness,
-            terms.bending_damping_time, force,
+            work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
         ),
-    }  # fmt: skip
+    }
     xs, vs = x.copy(), v.copy()
     measured["strain limit"] = lambda: hold_strain(xs, vs, terms.inverse_mass, terms.spring_pairs, limit, dt)
     if terms.seam.pairs.shape[0] > 0:
-        measured["seams"] = lambda: seam_forces(x, v, terms.seam, 0.0, force)
+        measured["seams"] = lambda: seam_forces(work.x, work.v, terms.seam, 0.0, work.force)
     if contact.active:
         moved, xc, vc = np.zeros(len(x)), x.copy(), v.copy()
         measured["body contact"] = lambda: resolve_contacts(xc, vc, terms.inverse_mass, contacts, contact, dt, moved)

@@ -105,8 +105,8 @@ def _table(rows: list[dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {row['group']} | {row['case']} | {row['particles']} | {row['damping_ratio']:.3g} | {row['predicted']:.4g} | "
-        f"{row['measured']:.4g} | {row['ratio']:.3f} |"
+        f"| {row['group']} | {row['case']} | {row['particles']} | {row['damping_ratio']:.3g} | "
+        f"{row['predicted']:.4g} | {row['measured']:.4g} | {row['ratio']:.3f} |"
         for row in rows
     ]
     return "\n".join(lines) + "\n"

@@ -12,19 +12,24 @@ import shapely
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_core.bending import Bending, bending_forces
 from cloth_core.body import Body
 from cloth_core.contact import ContactSettings, ContactState
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern
+from cloth_core.runs import find_runs
 from cloth_core.sewing import SeamPull
 from cloth_core.simulation import Simulation
-from cloth_core.step import ForceTerms, run_steps
+from cloth_core.springs import spring_forces
+from cloth_core.step import ForceTerms, Workspace, run_steps
 from cloth_core.strain_limit import StrainLimit
 
 __all__ = [
     "GRAVITY",
+    "bending_force",
     "body_of",
+    "by_axis",
     "chain",
     "crossings",
     "do_steps",
@@ -37,6 +42,7 @@ __all__ = [
     "rectangle",
     "sheet",
     "sides_through",
+    "spring_force",
     "throw",
 ]
 
@@ -156,35 +162,63 @@ def throw(simulation: Simulation, velocity: ArrayLike) -> None:
 # ---- bare steps, without a Simulation
 
 
+def by_axis(a: ArrayLike) -> Floats:
+    """A copy of (n, 3) with a row for each axis, (3, n), as the force kernels take it."""
+    return np.ascontiguousarray(np.asarray(a, dtype=float).T)
+
+
+def spring_force(
+    x: Floats, v: Floats, pairs: ArrayLike, rest_length: ArrayLike, stiffness: ArrayLike, damping_time: float
+) -> Floats:
+    """The package's spring forces on each particle, x and v (n, 3); returns (n, 3)."""
+    force = np.zeros((3, len(x)))
+    values = np.stack([np.asarray(rest_length, dtype=float), np.asarray(stiffness, dtype=float)], axis=1)
+    runs = find_runs(np.asarray(pairs, dtype=np.int32), values)
+    spring_forces(by_axis(x), by_axis(v), runs, damping_time, force, np.zeros_like(force))
+    return np.ascontiguousarray(force.T)
+
+
+def bending_force(bending: Bending, x: Floats, v: Floats | None = None, damping_time: float = 0.0) -> Floats:
+    """The package's bending forces on each particle, x and v (n, 3); returns (n, 3)."""
+    ahead = x if v is None else x + damping_time * v
+    force = np.zeros((3, len(x)))
+    bending_forces(
+        by_axis(ahead), bending.line_runs(), bending.hinges, bending.hinge_weights, bending.hinge_stiffness, force,
+        np.zeros_like(force),
+    )  # fmt: skip
+    return np.ascontiguousarray(force.T)
+
+
 def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
     """Force terms of particles of the given masses [kg]; what is not given is absent. `held` lists fixed particles."""
     m = np.array(mass, dtype=float)
     inverse = 1.0 / m
     inverse[np.asarray(given.pop("held", []), dtype=int)] = 0.0
-    ints = {"spring_pairs": 2, "lines": 3, "hinges": 4}
-    values: dict[str, Any] = {name: np.zeros((0, width), dtype=np.int32) for name, width in ints.items()}
-    values |= {
+    pairs = np.asarray(given.pop("spring_pairs", np.zeros((0, 2))), dtype=np.int32)
+    lengths, stiffness = (
+        np.asarray(given.pop(key, np.zeros(0)), dtype=float) for key in ("spring_rest_length", "spring_stiffness")
+    )
+    values: dict[str, Any] = {
         "mass": m,
         "inverse_mass": inverse,
         "gravity": np.zeros(3),
         "air_drag": 0.0,
-        "spring_rest_length": np.zeros(0),
-        "spring_stiffness": np.zeros(0),
+        "springs": find_runs(pairs, np.stack([lengths, stiffness], axis=1)),
         "spring_damping_time": 0.0,
-        "line_stiffness": np.zeros(0),
+        "lines": find_runs(np.zeros((0, 3), dtype=np.int32), np.zeros((0, 1))),
+        "hinges": np.zeros((0, 4), dtype=np.int32),
         "hinge_weights": np.zeros((0, 4)),
         "hinge_stiffness": np.zeros(0),
         "bending_damping_time": 0.0,
-        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), 0.0, 0.0, 0.0),
-    }
-    springs = len(given.get("spring_pairs", ()))
-    values["strain_limit"] = StrainLimit(  # no spring has one
-        np.full(springs, np.inf), np.full(springs, np.inf), np.zeros(springs), np.zeros(springs, dtype=np.int32),
-        np.zeros(1, dtype=np.int32),
-    )  # fmt: skip
+        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0),
+        "spring_pairs": pairs,
+        "strain_limit": StrainLimit(  # no spring has one
+            np.full(len(pairs), np.inf), np.full(len(pairs), np.inf), np.zeros(len(pairs)),
+            np.zeros(len(pairs), dtype=np.int32), np.zeros(1, dtype=np.int32),
+        ),
+    }  # fmt: skip
     for key, value in given.items():
-        array = key in values and not isinstance(value, StrainLimit)
-        values[key] = np.asarray(value, dtype=np.int32 if key in ints else float) if array else value
+        values[key] = np.asarray(value, dtype=float) if isinstance(value, list) else value
     for key in ("air_drag", "spring_damping_time", "bending_damping_time"):
         values[key] = float(values[key])
     return ForceTerms(**values)
@@ -217,6 +251,6 @@ def no_contact() -> ContactSettings:
 def do_steps(x: Floats, v: Floats, terms: ForceTerms, dt: float, count: int, openness: float = 0.0) -> None:
     """`count` steps of the package's compiled loop, in place, with nothing to collide with."""
     done = run_steps(
-        x, v, np.zeros_like(x), np.zeros(len(x)), terms, no_contact(), ContactState.none(), dt, count, openness, 0.0
+        x, v, Workspace.of(len(x)), np.zeros(len(x)), terms, no_contact(), ContactState.none(), dt, count, openness, 0.0
     )
     assert done == count

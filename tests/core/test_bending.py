@@ -4,28 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from apparatus import pattern, plain_fabric, rectangle, sheet
+from apparatus import bending_force, pattern, plain_fabric, rectangle, sheet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloth_core.bending import Bending, bending_forces, build_bending, hinges
+from cloth_core.bending import Bending, build_bending, hinges
 from cloth_core.garment import Garment
 
 B = 2e-5  # N m
 
 
-def force_of(bending: Bending, x: np.ndarray, v: np.ndarray | None = None, damping_time: float = 0.0) -> np.ndarray:
-    force = np.zeros_like(x)
-    bending_forces(
-        x, np.zeros_like(x) if v is None else v, bending.lines, bending.line_stiffness, bending.hinges,
-        bending.hinge_weights, bending.hinge_stiffness, damping_time, force,
-    )  # fmt: skip
-    return force
-
-
 def energy(bending: Bending, x: np.ndarray) -> float:
     """The forces are linear in the positions, F = -K x: their energy is x K x / 2."""
-    return float(-(x * force_of(bending, x)).sum() / 2)
+    return float(-(x * bending_force(bending, x)).sum() / 2)
 
 
 def cylinder(flat: np.ndarray, curvature: float, axis: float) -> np.ndarray:
@@ -110,7 +101,7 @@ def test_flat_sheet_anywhere_has_no_bending_force():
     for garment in (sheet(0.1, 0.06, 0.01), disc(0.02)):
         turned = cylinder(garment.rest, 1e-9, 0.4)
         turned = turned - turned.mean(axis=0)
-        assert np.abs(force_of(of_garment(garment), np.ascontiguousarray(turned))).max() < 1e-9
+        assert np.abs(bending_force(of_garment(garment), np.ascontiguousarray(turned))).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -119,13 +110,13 @@ def test_flat_sheet_anywhere_has_no_bending_force():
 def test_forces_push_nothing_as_a_whole(garment):
     bending = of_garment(garment, sewn=True)
     x = np.random.default_rng(4).standard_normal((garment.merged_indices.max() + 1, 3))
-    force = force_of(bending, x)
+    force = bending_force(bending, x)
     assert np.abs(force).max() > 0.1
     np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-10)
     np.testing.assert_allclose(np.cross(x, force).sum(axis=0), 0.0, atol=1e-9)
     # Damping acts on velocities as stiffness does on positions.
     v = np.random.default_rng(5).standard_normal(x.shape)
-    np.testing.assert_allclose(force_of(bending, x, v, 0.3) - force, 0.3 * force_of(bending, v), atol=1e-9)
+    np.testing.assert_allclose(bending_force(bending, x, v, 0.3) - force, 0.3 * bending_force(bending, v), atol=1e-9)
 
 
 @settings(max_examples=30, deadline=None)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from apparatus import GRAVITY, chain, do_steps, force_terms
+from apparatus import GRAVITY, by_axis, chain, do_steps, force_terms
 
 from cloth_core.euler import semi_implicit_euler
 
@@ -18,7 +18,7 @@ def test_equation_6_takes_the_new_velocity_for_the_new_position():
     new_v = v + dt * a
     new_x = x + dt * new_v
     explicit_x = x + dt * v
-    semi_implicit_euler(x, v, force, 1.0 / mass, dt)
+    semi_implicit_euler(x, v, by_axis(force), 1.0 / mass, dt)
     np.testing.assert_allclose(v, new_v, rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(x, new_x, rtol=1e-14, atol=1e-15)
     assert np.abs(x - explicit_x).max() > 1e-5  # the explicit method would have gone elsewhere
@@ -37,7 +37,7 @@ def test_equation_6_uses_the_force_at_the_old_position():
 
 def test_a_particle_of_no_inverse_mass_stays():
     x, v, force = np.zeros((1, 3)), np.zeros((1, 3)), np.full((1, 3), 1e6)
-    semi_implicit_euler(x, v, force, np.zeros(1), 0.1)
+    semi_implicit_euler(x, v, by_axis(force), np.zeros(1), 0.1)
     assert not x.any()
     assert not v.any()
 

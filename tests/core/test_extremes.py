@@ -194,13 +194,15 @@ def test_row_11_coincident_particles_are_not_kicked():
     # All of a sheet in one point, and then two neighbours in one point.
     garment = sheet(0.2, 0.2, 0.1)
     weightless = {"gravity": (0.0, 0.0, 0.0), "air_drag": 0.0}
-    heap = Simulation(Scene(garment=replace(garment, start=np.zeros_like(garment.start)), fabric=plain_fabric(), **weightless))
+    all_in_one = replace(garment, start=np.zeros_like(garment.start))
+    heap = Simulation(Scene(garment=all_in_one, fabric=plain_fabric(), **weightless))
     heap.advance(0.1)
     assert finite(heap)
     assert np.abs(heap.positions).max() == 0.0  # no direction, no force
     start = garment.start.copy()
     start[4] = start[8]
-    pair = Simulation(Scene(garment=replace(garment, start=start), fabric=plain_fabric(damping_time=1e-3), **weightless))
+    two_in_one = replace(garment, start=start)
+    pair = Simulation(Scene(garment=two_in_one, fabric=plain_fabric(damping_time=1e-3), **weightless))
     spring = plain_fabric()
     stored = 3 * (spring.structural_warp + spring.shear) * 0.1**2  # more than all springs at a moved particle hold
     lightest = float(pair.model.mass.min())

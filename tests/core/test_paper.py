@@ -6,7 +6,18 @@ One test, or a few, for each of its nine steps; the other files of this folder g
 import numpy as np
 import pytest
 import trimesh
-from apparatus import body_of, chain, crossings, do_steps, pattern, plain_fabric, rectangle, sheet
+from apparatus import (
+    body_of,
+    by_axis,
+    chain,
+    crossings,
+    do_steps,
+    pattern,
+    plain_fabric,
+    rectangle,
+    sheet,
+    spring_force,
+)
 
 from cloth_core.aabb_tree import build_tree, overlapping_pairs, refit_tree
 from cloth_core.body import Body, builtin_bodies
@@ -21,7 +32,7 @@ from cloth_core.pattern import Pattern
 from cloth_core.quality import Settings
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
-from cloth_core.springs import SpringFamily, build_springs, spring_forces
+from cloth_core.springs import SpringFamily, build_springs
 
 
 def test_step_1_each_panel_is_discretised_into_a_square_grid_whose_quads_get_diagonals():
@@ -62,10 +73,10 @@ def test_step_3_gravity_air_resistance_and_hookes_law_add_up_to_m_a():
     m, k_a, k, length0, g = 2.0, 0.5, 30.0, 1.0, 10.0
     x = np.array([[0.0, 0, 0], [1.5, 0, 0], [0, 0.8, 0.6]])
     v = np.array([[1.0, -2.0, 0.5], [0, 0, 0], [0, 0, 0]])
-    force = np.zeros_like(x)
-    gravity_forces(np.full(3, m), np.array([0.0, 0, -g]), force)
-    air_drag_forces(v, np.full(3, m), k_a, force)
-    spring_forces(x, v, np.array([[0, 1], [0, 2]], dtype=np.int32), np.full(2, length0), np.full(2, k), 0.0, force)
+    by_axes = np.zeros((3, 3))
+    gravity_forces(np.full(3, m), np.array([0.0, 0, -g]), by_axes)
+    air_drag_forces(by_axis(v), np.full(3, m), k_a, by_axes)
+    force = by_axes.T + spring_force(x, v, [[0, 1], [0, 2]], np.full(2, length0), np.full(2, k), 0.0)
     expected = np.array([0, 0, -m * g]) - m * k_a * v[0]
     for neighbour in (1, 2):
         d = x[neighbour] - x[0]
@@ -78,7 +89,7 @@ def test_step_4_euler_takes_acceleration_then_velocity_then_position():
     a = force / m  # a = F(t) / m
     v_next = v + dt * a  # v(t + dt) = v(t) + dt a
     x_next = x + dt * v_next  # x(t + dt) = x(t) + dt v(t + dt)
-    semi_implicit_euler(x, v, force, np.array([1 / m]), dt)
+    semi_implicit_euler(x, v, by_axis(force), np.array([1 / m]), dt)
     np.testing.assert_allclose(v, v_next, rtol=1e-15)
     np.testing.assert_allclose(x, x_next, rtol=1e-15)
 

@@ -11,7 +11,7 @@ import ipctk
 import numpy as np
 import pytest
 import trimesh
-from apparatus import body_of, pattern, placed, plain_fabric, rectangle, sheet, sides_through, throw
+from apparatus import bending_force, body_of, pattern, placed, plain_fabric, rectangle, sheet, sides_through, throw
 
 import cloth_core.simulation
 from cloth_core.body import Body
@@ -125,24 +125,10 @@ def test_result_hardly_depends_on_the_time_step():
 
 def energy(simulation: Simulation) -> float:
     """Kinetic, elastic and bending energy [J]; the bending forces are linear in the positions."""
-    from cloth_core.bending import bending_forces
-
     model, x, v = simulation.model, simulation._x, simulation._v
     length = np.linalg.norm(x[model.springs.pairs[:, 1]] - x[model.springs.pairs[:, 0]], axis=1)
     stretch = (model.springs.stiffness * (length - model.springs.rest_length) ** 2).sum() / 2
-    bend = model.bending
-    force = np.zeros_like(x)
-    bending_forces(
-        x,
-        np.zeros_like(x),
-        bend.lines,
-        bend.line_stiffness,
-        bend.hinges,
-        bend.hinge_weights,
-        bend.hinge_stiffness,
-        0.0,
-        force,
-    )
+    force = bending_force(model.bending, x)
     return float((model.mass[:, None] * v**2).sum() / 2 + stretch - (x * force).sum() / 2)
 
 

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from apparatus import pattern, plain_fabric, rectangle, sheet
+from apparatus import pattern, plain_fabric, rectangle, sheet, spring_force
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
-from cloth_core.springs import SpringFamily, Springs, build_springs, spring_forces, spring_strains
+from cloth_core.springs import SpringFamily, Springs, build_springs, spring_strains
 
 STRUCTURAL, SHEAR, BENDING = SpringFamily
 
@@ -130,19 +130,17 @@ def test_forces_are_the_papers_sum_over_the_neighbours():
             length = np.linalg.norm(d)
             expected[i] += stiffness * (1 - length0 / length) * d
             expected[i] += stiffness * tau * np.dot(v[other] - v[i], d / length) * d / length
-    force = np.ones_like(x)
-    spring_forces(x, v, pairs, rest, k, tau, force)
-    np.testing.assert_allclose(force - 1.0, expected, rtol=1e-11, atol=1e-11)
-    np.testing.assert_allclose((force - 1.0).sum(axis=0), 0.0, atol=1e-11)
-    np.testing.assert_allclose(np.cross(x, force - 1.0).sum(axis=0), 0.0, atol=1e-11)
+    force = spring_force(x, v, pairs, rest, k, tau)
+    np.testing.assert_allclose(force, expected, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-11)
+    np.testing.assert_allclose(np.cross(x, force).sum(axis=0), 0.0, atol=1e-11)
 
 
 def test_forces_are_the_slope_of_the_energy():
     garment = curved_panel(0.04)
     springs = build_springs(garment, Fabric.preset("denim"))
     x = flat(garment) + 0.002 * np.random.default_rng(2).standard_normal((garment.particle_count, 3))
-    force = np.zeros_like(x)
-    spring_forces(x, np.zeros_like(x), springs.pairs, springs.rest_length, springs.stiffness, 0.0, force)
+    force = spring_force(x, np.zeros_like(x), springs.pairs, springs.rest_length, springs.stiffness, 0.0)
     for i in range(0, garment.particle_count, 3):
         for axis in range(3):
             nudge = np.zeros_like(x)
@@ -152,12 +150,10 @@ def test_forces_are_the_slope_of_the_energy():
 
 
 def test_coincident_ends_exert_nothing():
-    x, force = np.zeros((2, 3)), np.zeros((2, 3))
+    x = np.zeros((2, 3))
     v = np.array([[1.0, 0, 0], [-1.0, 0, 0]])
-    spring_forces(x, v, np.array([[0, 1]], dtype=np.int32), np.ones(1), np.ones(1), 0.1, force)
-    assert not force.any()
-    spring_forces(x, v, np.array([[0, 1]], dtype=np.int32), np.zeros(1), np.ones(1), 0.1, force)
-    assert not force.any()
+    assert not spring_force(x, v, [[0, 1]], [1.0], [1.0], 0.1).any()
+    assert not spring_force(x, v, [[0, 1]], [0.0], [1.0], 0.1).any()
 
 
 def test_strain_is_extension_over_rest_length():
@@ -273,3 +269,22 @@ def test_bending_springs_of_a_rolled_sheet_grow_with_the_fourth_power():
 
     assert rolled(0.1) / rolled(0.05) == pytest.approx(16.0, rel=3e-3)
     assert rolled(0.2) / rolled(0.1) == pytest.approx(16.0, rel=1e-2)
+
+
+@pytest.mark.parametrize("damping_time", [0.0, 0.02])
+def test_runs_and_single_springs_give_the_same_forces(damping_time):
+    # One spring after the other, shuffled so that no two in line follow each other, against the runs of the grid.
+    garment = curved_panel(0.02)
+    springs = build_springs(garment, Fabric.preset("denim"))
+    runs = springs.runs(springs.stiffness).mixed(1.0)
+    assert runs.length.sum() + len(runs.rest) == len(springs)
+    assert runs.length.sum() > 0.5 * len(springs)
+    rng = np.random.default_rng(8)
+    x = flat(garment) + 0.002 * rng.standard_normal((garment.particle_count, 3))
+    v = rng.standard_normal(x.shape)
+    single = sum(
+        spring_force(x, v, springs.pairs[[s]], springs.rest_length[[s]], springs.stiffness[[s]], damping_time)
+        for s in rng.permutation(len(springs))
+    )
+    together = spring_force(x, v, springs.pairs, springs.rest_length, springs.stiffness, damping_time)
+    np.testing.assert_allclose(together, single, rtol=1e-9, atol=1e-9)

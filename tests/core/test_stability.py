@@ -147,14 +147,14 @@ def test_stable_step_of_a_model_is_that_of_its_assembled_matrices():
     model = Model(scene)
     x = garment.start * 1.03  # stretched everywhere, so that nothing is softened by compression
     n = x.size
-    from cloth_core.step import total_force
+    from cloth_core.step import Workspace, total_force
 
     terms = model.force_terms(2.0)
 
     def force(at: np.ndarray, speed: np.ndarray) -> np.ndarray:
-        out = np.zeros_like(at)
-        total_force(at, speed, terms, 0.0, out)
-        return out.ravel()
+        work = Workspace.of(len(at))
+        total_force(at, speed, terms, 0.0, work)
+        return work.force.T.ravel()
 
     k_matrix, c_matrix = np.zeros((n, n)), np.zeros((n, n))
     still = np.zeros_like(x)

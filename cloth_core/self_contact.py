@@ -1,0 +1,267 @@
+"""Cloth against cloth: the search for pairs, by the same tree of boxes as against the body (paper, step 6).
+
+Left out, by topology and nothing else, are pairs that have a corner in common, in the numbering in which everything is
+sewn: they cannot be apart. Pairs whose corners are neighbours are kept, at an offset that the rest shape leaves room for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
+from cloth_core.closest_points import point_triangle, segment_segment
+from cloth_core.garment import Garment
+from cloth_core.intersections import crossed_triangles, self_crossing_edges
+from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.mesh_topology import Representatives, representatives
+from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
+from cloth_core.pair_list import doubled, doubled_lengths, write_pair
+
+__all__ = ["SelfContact", "seam_gap_triangles", "self_overlapping_pairs"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# Neighbours are held apart at this share of the lowest height of the triangles around them.
+_NEIGHBOUR_SHARE = 0.3
+
+
+class SelfContact:
+    """Search for candidates of contact between a garment's own triangles.
+
+    Args:
+        triangles: corner indices, shape (m, 3).
+        identity: what each particle becomes once everything is sewn, (n,): equal numbers are one point.
+        height: the lowest height of the rest triangles around each particle [m], shape (n,).
+        offset: distance at which layers are held apart [m].
+    """
+
+    def __init__(self, triangles: Ints, identity: Ints, height: Floats, offset: float) -> None:
+        self.triangles = np.ascontiguousarray(triangles, dtype=np.int32)
+        self.identity = np.ascontiguousarray(identity, dtype=np.int32)
+        self.offset = offset
+        self._room = _NEIGHBOUR_SHARE * height
+        self._representatives = representatives(self.triangles)
+        self._neighbour_start, self._neighbours = _neighbours(self.identity[self.triangles])
+        self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
+        self._tree: AabbTree | None = None
+
+    @classmethod
+    def of(cls, garment: Garment, number: Ints, triangles: Ints, offset: float, sewing: bool) -> SelfContact:
+        """Self contact of a garment whose unsewn particles are numbered `number` (n,); triangles in that numbering.
+
+        While it is sewn, the gaps of its seams count as cloth: nothing can get between two edges that belong together.
+        """
+        count = int(number.max()) + 1
+        identity = np.zeros(count, dtype=np.int32)
+        identity[number] = garment.merged_indices
+        corner = garment.rest[garment.triangles]
+        longest = np.max([np.linalg.norm(corner[:, k] - corner[:, k - 1], axis=1) for k in range(3)], axis=0)
+        height = np.full(count, np.inf)
+        np.minimum.at(height, triangles.ravel(), np.repeat(2.0 * garment.areas / longest, 3))
+        if sewing and garment.seams:
+            triangles = np.concatenate([triangles, _free_gaps(garment)])
+        return cls(triangles, identity, height, offset)
+
+    def candidates(self, x: Floats, radius: float) -> tuple[Ints, Floats, Floats]:
+        """All pairs that can come into contact while no particle moves farther than radius from x (n, 3) [m].
+
+        Returns:
+            pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
+        """
+        if self._tree is None:
+            self._tree = build_tree(x, self.triangles)
+        refit_tree(self._tree, x, self.triangles, 0.5 * self.offset + radius)
+        found = self_overlapping_pairs(self._tree, self._leaf_pairs)
+        if found > len(self._leaf_pairs):
+            self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
+            found = self_overlapping_pairs(self._tree, self._leaf_pairs)
+        rows, lengths = _candidates(
+            x, self.triangles, self._representatives, self.identity, self._neighbour_start, self._neighbours,
+            self._room, self._leaf_pairs[:found], self.offset, self.offset + 2.0 * radius,
+        )  # fmt: skip
+        return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
+
+
+def seam_gap_triangles(garment: Garment) -> Ints:
+    """Triangles that fill the gap between the two edges of each open seam, in the unsewn numbering, shape (k, 3)."""
+    parts = [np.zeros((0, 3), dtype=np.int32)]
+    for seam in garment.seams:
+        a, b, c, d = seam.first[:-1], seam.first[1:], seam.second[1:], seam.second[:-1]
+        parts += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+    triangles = np.concatenate(parts)
+    p, q, r = triangles.T
+    return np.asarray(triangles[(p != q) & (q != r) & (r != p)], dtype=np.int32)
+
+
+def _free_gaps(garment: Garment) -> Ints:
+    """Those gap triangles that cross nothing at the start: what is crossed cannot be kept apart."""
+    gaps = seam_gap_triangles(garment)
+    everything = np.concatenate([garment.triangles, gaps])
+    x, identity = garment.start, garment.merged_indices
+    crossed = crossed_triangles(x, everything, identity)[len(garment.triangles) :]
+    crossing = self_crossing_edges(x, everything, identity)
+    ends = crossing[:, 0].astype(np.int64) * len(x) + crossing[:, 1]
+    for k in range(3):
+        side = np.sort(gaps[:, [k, (k + 1) % 3]], axis=1)
+        crossed |= np.isin(side[:, 0].astype(np.int64) * len(x) + side[:, 1], ends)
+    return gaps[~crossed]
+
+
+def _neighbours(triangles: Ints) -> tuple[Ints, Ints]:
+    """Neighbours of each point as a compressed list: start (k + 1,) and sorted neighbours."""
+    a, b, c = triangles.T.astype(np.int64)
+    count = int(triangles.max()) + 1
+    pairs = np.unique(np.concatenate([a, b, b, c, c, a]) * count + np.concatenate([b, a, c, b, a, c]))
+    start = np.searchsorted(pairs // count, np.arange(count + 1)).astype(np.int32)
+    return start, (pairs % count).astype(np.int32)
+
+
+@kernel
+def self_overlapping_pairs(tree: AabbTree, pairs: Ints) -> int:
+    """Traversal of a tree against itself: all pairs of different triangles whose boxes overlap, each once.
+
+    At most len(pairs) are written to pairs (p, 2); the number found is returned.
+    """
+    found = 0
+    if tree.triangle.shape[0] == 0:
+        return found
+    stack = np.zeros((1024, 2), dtype=np.int32)
+    top = 1
+    while top > 0:
+        top -= 1
+        i, j = stack[top, 0], stack[top, 1]
+        if top + 4 > stack.shape[0]:
+            stack = doubled(stack)
+        if i == j:
+            if tree.triangle[i] < 0:
+                left, right = i + 1, tree.right[i]
+                stack[top, 0], stack[top, 1] = right, right
+                stack[top + 1, 0], stack[top + 1, 1] = left, right
+                stack[top + 2, 0], stack[top + 2, 1] = left, left
+                top += 3
+            continue
+        if not boxes_overlap(tree, i, tree, j):
+            continue
+        one, other = tree.triangle[i], tree.triangle[j]
+        if one >= 0 and other >= 0:
+            if found < pairs.shape[0]:
+                pairs[found, 0] = one
+                pairs[found, 1] = other
+            found += 1
+        # Nodes are in depth-first order, so the larger subtree is the one with more nodes up to its right child.
+        elif other >= 0 or (one < 0 and tree.right[i] - i >= tree.right[j] - j):
+            stack[top, 0], stack[top, 1] = tree.right[i], j
+            stack[top + 1, 0], stack[top + 1, 1] = i + 1, j
+            top += 2
+        else:
+            stack[top, 0], stack[top, 1] = i, tree.right[j]
+            stack[top + 1, 0], stack[top + 1, 1] = i, j + 1
+            top += 2
+    return found
+
+
+@inlined_kernel
+def _outside(x: Floats, i: int, a: int, b: int, c: int, reach: float) -> bool:
+    """Whether point i is farther than reach from the box of a, b and c along some axis."""
+    outside = False
+    for axis in range(3):
+        value = x[i, axis]
+        low = min(x[a, axis], min(x[b, axis], x[c, axis]))
+        high = max(x[a, axis], max(x[b, axis], x[c, axis]))
+        outside = outside or value < low - reach or value > high + reach
+    return outside
+
+
+@kernel
+def _are_neighbours(start: Ints, neighbours: Ints, i: int, j: int) -> bool:
+    for entry in range(start[i], start[i + 1]):
+        if neighbours[entry] == j:
+            return True
+    return False
+
+
+@kernel
+def _candidates(
+    x: Floats,
+    triangles: Ints,
+    cloth: Representatives,
+    identity: Ints,
+    start: Ints,
+    neighbours: Ints,
+    room: Floats,
+    leaf_pairs: Ints,
+    offset: float,
+    reach: float,
+) -> tuple[Ints, Floats]:
+    """Vertex-triangle and edge-edge pairs within reach [m]: rows (s, 7), and offset and distance (s, 2)."""
+    rows = np.empty((4096, 7), dtype=np.int32)
+    lengths = np.empty((4096, 2))
+    count = 0
+    squared_reach = reach * reach
+    for pair in range(leaf_pairs.shape[0]):
+        if count + 15 > rows.shape[0]:
+            rows, lengths = doubled(rows), doubled_lengths(lengths)
+        for turn in range(2):
+            one, other = leaf_pairs[pair, turn], leaf_pairs[pair, 1 - turn]
+            a, b, c = triangles[other, 0], triangles[other, 1], triangles[other, 2]
+            la, lb, lc = identity[a], identity[b], identity[c]
+            for k in range(3):
+                if not cloth.owns_vertex[one, k]:
+                    continue
+                i = triangles[one, k]
+                li = identity[i]
+                if li == la or li == lb or li == lc or _outside(x, i, a, b, c, reach):
+                    continue
+                squared = point_triangle(x[i], x[a], x[b], x[c])[0]
+                if squared >= squared_reach:
+                    continue
+                apart = offset
+                if (
+                    _are_neighbours(start, neighbours, li, la)
+                    or _are_neighbours(start, neighbours, li, lb)
+                    or _are_neighbours(start, neighbours, li, lc)
+                ):
+                    apart = min(offset, min(room[i], min(room[a], min(room[b], room[c]))))
+                write_pair(rows, count, CLOTH_VERTEX, i, a, b, c, -1, -1)
+                lengths[count, 0] = apart
+                lengths[count, 1] = np.sqrt(squared)
+                count += 1
+        one, other = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
+        for k in range(3):
+            if not cloth.owns_edge[one, k]:
+                continue
+            p, q = triangles[one, k], triangles[one, (k + 1) % 3]
+            lp, lq = identity[p], identity[q]
+            for m in range(3):
+                if not cloth.owns_edge[other, m]:
+                    continue
+                a, b = triangles[other, m], triangles[other, (m + 1) % 3]
+                la, lb = identity[a], identity[b]
+                if lp == la or lp == lb or lq == la or lq == lb:
+                    continue
+                apart_boxes = False
+                for axis in range(3):
+                    apart_boxes = apart_boxes or (
+                        min(x[p, axis], x[q, axis]) - reach > max(x[a, axis], x[b, axis])
+                        or min(x[a, axis], x[b, axis]) - reach > max(x[p, axis], x[q, axis])
+                    )
+                if apart_boxes:
+                    continue
+                squared = segment_segment(x[p], x[q], x[a], x[b])[0]
+                if squared >= squared_reach:
+                    continue
+                apart = offset
+                if (
+                    _are_neighbours(start, neighbours, lp, la)
+                    or _are_neighbours(start, neighbours, lp, lb)
+                    or _are_neighbours(start, neighbours, lq, la)
+                    or _are_neighbours(start, neighbours, lq, lb)
+                ):
+                    apart = min(offset, min(min(room[p], room[q]), min(room[a], room[b])))
+                write_pair(rows, count, CLOTH_SIDE, p, q, a, b, -1, -1)
+                lengths[count, 0] = apart
+                lengths[count, 1] = np.sqrt(squared)
+                count += 1
+    return rows[:count].copy(), lengths[:count].copy()
