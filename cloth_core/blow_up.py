@@ -59,6 +59,8 @@ class _FixedStep(Simulation):
     def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
         if self._change is not None:
             self._change(model)
+        if self.scene.body is None:
+            model.contact = None  # contact of cloth with cloth holds back what blows up, and hides it
         super()._use(model, unsewn_x, unsewn_v)
 
     def _refresh_time_step(self, estimate: bool = True) -> None:
