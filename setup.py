@@ -12,7 +12,7 @@ RUNTIME = [
     "embreex>=2.17.7",
     "imageio>=2.31",
     "imageio-ffmpeg>=0.5",
-    "mcap>=1.1",
+    "mcap>=1.5",
     "numba>=0.59",
     "numpy>=1.26",
     "pillow>=10.0",
@@ -23,25 +23,24 @@ RUNTIME = [
     "zstandard>=0.22",
 ]
 ROS = ["pyyaml>=6.0", "ros-jazzy-common-interfaces>=5.3.6", "ros-jazzy-rclpy[fastrtps]>=7.1.6"]
-# Plots of `cloth-sim stability` and of the validation page.
-PLOTS = ["matplotlib>=3.8"]
 TEST = [
     # The suite as such.
     "hypothesis>=6.100",
     "pytest>=8.0",
-    # Independent truths: other people's readers of logs, distances and intersections, curves, and what trimesh needs.
-    "ipctk>=1.3",
+    # Independent truths: other people's readers of logs, another DDS stack, intersections, curves, and what trimesh needs.
+    "cyclonedds>=11.0; platform_machine == 'x86_64'",  # has wheels for nothing else
+    "libigl>=2.6",
     "mcap-ros2-support>=0.5",
     "rosbags>=0.10",
     "rtree>=1.0",
     "svgpathtools>=1.6",
-    *PLOTS,
     # `colcon build` without apt: the smallest set that builds an ament_python package and shows what failed.
     "colcon-core>=0.18",
     "colcon-output>=0.2.13",
     "colcon-ros>=0.5",
     "setuptools>=64",
 ]
+PLOTS = ["matplotlib>=3.7"]
 LINT = ["mypy>=1.10", "ruff>=0.5"]
 
 setup(
@@ -58,16 +57,19 @@ setup(
     packages=["cloth_core", "cloth_sim_ros"],
     package_data={
         "cloth_core": ["py.typed", "data/**/*"],
-        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*"],
+        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*", "security/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *((f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*")) for folder in ("launch", "config", "rviz")),
+        *(
+            (f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*"))
+            for folder in ("launch", "config", "rviz", "security")
+        ),
     ],
     zip_safe=False,
     install_requires=RUNTIME,
-    extras_require={"ros": ROS, "test": TEST, "lint": LINT, "plots": PLOTS},
+    extras_require={"ros": ROS, "plots": PLOTS, "test": [*TEST, *PLOTS], "lint": LINT},
     entry_points={
         "console_scripts": [
             "cloth-sim = cloth_sim_ros.command_line:main",

@@ -148,17 +148,18 @@ def boxes_overlap(one: AabbTree, i: int, other: AabbTree, j: int) -> bool:
 
 
 @kernel
-def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints) -> int:
+def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 2**62) -> int:
     """Double traversal: all (cloth triangle, body triangle) whose boxes overlap, in a fixed order.
 
     The body's root is held against the cloth's tree; a branch ends where boxes are disjoint; at a cloth leaf the body's
-    tree is descended. At most len(pairs) are written to pairs (p, 2); the number found is returned.
+    tree is descended. At most len(pairs) are written to pairs (p, 2); the number found is returned. The search ends at
+    more than `most`.
     """
     found = 0
     if body.triangle.shape[0] == 0 or cloth.triangle.shape[0] == 0:
         return found
     stack = [(0, 0)]
-    while len(stack) > 0:
+    while len(stack) > 0 and found <= most:
         c, b = stack.pop()
         if not boxes_overlap(cloth, c, body, b):
             continue

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree
-from cloth_core.closest_points import point_triangle
+from cloth_core.body_repair import repair_mesh
 from cloth_core.errors import BodyError
-from cloth_core.kernel import kernel
-from cloth_core.mesh_topology import Representatives, representatives, unique_edges
+from cloth_core.mesh_distance import distances_to_mesh
+from cloth_core.mesh_topology import Representatives, representatives
+from cloth_core.winding_number import Dipoles, dipoles, winding_numbers
 
 __all__ = ["Body", "builtin_bodies"]
 
@@ -22,6 +23,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 MOST_TRIANGLES = 2_000_000
+LARGEST_COORDINATE = 1e6  # [m]; beyond it products of coordinates lose what triangles are made of
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Body:
 
     @classmethod
     def from_arrays(cls, vertices: ArrayLike, triangles: ArrayLike, name: str = "body") -> Body:
-        """Check a mesh; drop what has no area or stands twice; turn it outside out if it is inside out.
+        """Check a mesh, and repair it (`body_repair`) with a count of what was done.
 
         Args:
             vertices: [m], shape (n, 3).
@@ -95,6 +97,12 @@ class Body:
         if not np.isfinite(points).all():
             bad = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
             raise BodyError(f"body '{name}', vertex {bad}: {points[bad].tolist()} is not finite; mend the mesh")
+        if np.abs(points).max() > LARGEST_COORDINATE:
+            bad = int(np.abs(points).max(axis=1).argmax())
+            raise BodyError(
+                f"body '{name}', vertex {bad}: {points[bad].tolist()} lies more than {LARGEST_COORDINATE:g} m from the "
+                "origin; give metres"
+            )
         out = (raw < 0) | (raw >= len(points))
         if out.any():
             bad = int(np.flatnonzero(out.any(axis=1))[0])
@@ -102,35 +110,11 @@ class Body:
                 f"body '{name}', triangle {bad}: vertex {int(raw[bad][out[bad]][0])} does not exist, "
                 f"there are {len(points)}; mend the mesh"
             )
-        index = raw.astype(np.int32)
-        repairs: dict[str, int] = {}
-        a, b, c = (points[index[:, k]] for k in range(3))
-        doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        longest = np.max([np.linalg.norm(p - q, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
-        flat = doubled <= 1e-9 * np.maximum(longest, 1e-12) ** 2
-        if flat.any():
-            repairs["zero-area triangles dropped"] = int(flat.sum())
-            index = index[~flat]
-        _, first = np.unique(np.sort(index, axis=1), axis=0, return_index=True)
-        if len(first) < len(index):
-            repairs["duplicate triangles dropped"] = len(index) - len(first)
-            index = index[np.sort(first)]
-        if len(index) == 0:
+        mesh = repair_mesh(points, np.ascontiguousarray(raw, dtype=np.int32))
+        if len(mesh.triangles) == 0:
             raise BodyError(f"body '{name}': no triangle with an area is left; mend the mesh")
-        used, renumbered = np.unique(index, return_inverse=True)
-        if len(used) < len(points):
-            repairs["unused vertices dropped"] = len(points) - len(used)
-        points, index = np.ascontiguousarray(points[used]), renumbered.reshape(-1, 3).astype(np.int32)
-        warnings = []
-        _, per_triangle = unique_edges(index)
-        open_sides = int((np.bincount(per_triangle.ravel()) == 1).sum())
-        if open_sides:
-            warnings.append(f"body '{name}': {open_sides} sides have one triangle only; the surface is open there")
-        a, b, c = (points[index[:, k]] for k in range(3))
-        if not open_sides and float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) < 0.0:
-            repairs["triangles turned outside out"] = len(index)
-            index = np.ascontiguousarray(index[:, ::-1])
-        return cls(name, points, index, repairs, tuple(warnings))
+        warnings = tuple(f"body '{name}': {line}" for line in mesh.warnings)
+        return cls(name, mesh.vertices, mesh.triangles, mesh.repairs, warnings)
 
     @cached_property
     def tree(self) -> AabbTree:
@@ -142,109 +126,30 @@ class Body:
         """Which triangle stands for which vertex and side."""
         return representatives(self.triangles)
 
-    def signed_distance(self, points: Floats) -> Floats:
-        """Distance to the surface [m], negative inside, of points (k, 3); shape (k,).
+    def winding_number(self, points: Floats) -> Floats:
+        """How often the surface goes round each of the points (k, 3) [m], to about 0.01; shape (k,).
 
-        The sign comes from the angle-weighted normal of the closest vertex, side or face (Baerentzen and Aanaes 2005),
-        which is exact for a closed mesh.
+        1 inside and 0 outside of a closed surface; more where shells overlap; between 0 and 1 about a hole.
         """
-        face, edge, vertex = self._normals
-        return _signed_distances(
-            np.ascontiguousarray(points, dtype=np.float64), self.vertices, self.triangles, self.tree,
-            self.representatives.triangle_edges, face, edge, vertex,
-        )  # fmt: skip
+        where = np.ascontiguousarray(points, dtype=np.float64)
+        return winding_numbers(where, self.vertices, self.triangles, self.tree, self._dipoles)
+
+    def signed_distance(self, points: Floats) -> Floats:
+        """Distance to the nearest triangle [m], negative inside, of points (k, 3) [m]; shape (k,).
+
+        Inside is where the surface goes round a point by more than a half, so that holes, several shells and shells
+        that overlap all have an inside: a hole is closed by a surface that spans it smoothly.
+        """
+        where = np.ascontiguousarray(points, dtype=np.float64)
+        distance = distances_to_mesh(where, self.vertices, self.triangles, self.tree)
+        return np.where(self.winding_number(where) > 0.5, -distance, distance)
 
     @cached_property
-    def _normals(self) -> tuple[Floats, Floats, Floats]:
-        corner = self.vertices[self.triangles]
-        face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        face /= np.linalg.norm(face, axis=1, keepdims=True)
-        vertex = np.zeros_like(self.vertices)
-        for k in range(3):
-            u = corner[:, (k + 1) % 3] - corner[:, k]
-            w = corner[:, (k + 2) % 3] - corner[:, k]
-            cosine = (u * w).sum(1) / (np.linalg.norm(u, axis=1) * np.linalg.norm(w, axis=1))
-            np.add.at(vertex, self.triangles[:, k], face * np.arccos(np.clip(cosine, -1, 1))[:, None])
-        edge = np.zeros((len(self.representatives.edges), 3))
-        for k in range(3):
-            np.add.at(edge, self.representatives.triangle_edges[:, k], face)
-        return face, edge, vertex
+    def _dipoles(self) -> Dipoles:
+        return dipoles(self.vertices, self.triangles, self.tree)
 
 
 def builtin_bodies() -> list[str]:
     """Names of the bodies that come with the package."""
     folder = resources.files("cloth_core") / "data" / "bodies"
     return sorted(entry.name[:-4] for entry in folder.iterdir() if entry.name.endswith(".ply"))
-
-
-@kernel
-def _box_distance(tree: AabbTree, node: int, p: Floats) -> float:
-    squared = 0.0
-    for k in range(3):
-        gap = max(tree.lower[node, k] - p[k], max(0.0, p[k] - tree.upper[node, k]))
-        squared += gap * gap
-    return squared
-
-
-@kernel
-def _signed_distances(
-    points: Floats,
-    vertices: Floats,
-    triangles: Ints,
-    tree: AabbTree,
-    triangle_edges: Ints,
-    face_normals: Floats,
-    edge_normals: Floats,
-    vertex_normals: Floats,
-) -> Floats:
-    out = np.empty(points.shape[0])
-    stack = np.zeros(128, dtype=np.int32)
-    normal = np.zeros(3)
-    for i in range(points.shape[0]):
-        p = points[i]
-        best, nearest = np.inf, -1
-        weights = (0.0, 0.0, 0.0)
-        top = 1
-        stack[0] = 0
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            if _box_distance(tree, node, p) >= best:
-                continue
-            t = tree.triangle[node]
-            if t >= 0:
-                squared, u, v, w = point_triangle(
-                    p, vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-                )
-                if squared < best:
-                    best, nearest, weights = squared, t, (u, v, w)
-                continue
-            left, right = node + 1, tree.right[node]
-            if _box_distance(tree, left, p) < _box_distance(tree, right, p):
-                left, right = right, left
-            stack[top] = left
-            stack[top + 1] = right
-            top += 2
-        inner = 0
-        corner, without = 0, 0
-        for k in range(3):
-            if weights[k] > 1e-9:
-                inner += 1
-                corner = k
-            else:
-                without = k
-        for axis in range(3):
-            if inner == 3:
-                normal[axis] = face_normals[nearest, axis]
-            elif inner == 1:
-                normal[axis] = vertex_normals[triangles[nearest, corner], axis]
-            else:  # the side opposite to the corner without weight joins the next two corners
-                normal[axis] = edge_normals[triangle_edges[nearest, (without + 1) % 3], axis]
-        side = 0.0
-        for k in range(3):
-            closest = 0.0
-            for j in range(3):
-                closest += weights[j] * vertices[triangles[nearest, j], k]
-            side += (p[k] - closest) * normal[k]
-        out[i] = np.sqrt(best) if side >= 0.0 else -np.sqrt(best)
-    return out

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cloth_core.aabb_tree import AabbTree, overlapping_pairs
 from cloth_core.body import Body
 from cloth_core.closest_points import point_triangle, segment_segment
+from cloth_core.errors import SceneError
 from cloth_core.intersections import crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
@@ -26,6 +27,9 @@ _SIDE_OFFSET_SHARE = 0.5
 # A vertex's contact planes are renewed when it has moved by this share of the offset.
 _RENEWAL_SHARE = 0.05
 _MOST_PLANES = 3
+# Pairs of triangles whose boxes overlap, in all and for each triangle of body and cloth: surfaces have a few each. More
+# would take memory and time out of all proportion.
+_MOST_PAIRS, _PAIRS_PER_TRIANGLE = 100_000, 16
 # Passes over the planes of a particle in a crease.
 _SWEEPS = 4
 
@@ -94,10 +98,16 @@ class BodyContact:
         Returns:
             the vertex pairs; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
         """
-        found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs)
+        most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * (len(triangles) + len(self.body.triangles))
+        found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
+        if found > most:
+            raise SceneError(
+                f"body '{self.body.name}': too many of its triangles lie at the same place, more than {most} pairs "
+                "with the cloth's; repair the mesh"
+            )
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
-            found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs)
+            found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
         vertex_pairs, vertex_distance, rows, distance = _candidates(
             x, triangles, cloth, self.body.vertices, self.body.triangles, self.body.representatives,
             self._leaf_pairs[:found], self.offset + radius, self.side_offset + radius,

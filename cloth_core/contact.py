@@ -35,7 +35,7 @@ from cloth_core.pair_contacts import (
 )
 from cloth_core.self_contact import SelfContact
 
-__all__ = ["Contact", "ContactSettings", "ContactState", "keep_within_travel", "resolve_contacts"]
+__all__ = ["SPENT", "Contact", "ContactSettings", "ContactState", "keep_within_travel", "resolve_contacts"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -43,6 +43,8 @@ Ints = NDArray[np.int32]
 # Share of the distance between two parts that each may travel between two narrow phases; the body stands still.
 _BODY_TRAVEL = 0.9
 _CLOTH_TRAVEL = 0.45
+# A new search is due when any particle has used this share of its way.
+SPENT = 0.65
 # How far particles may move between two broad phases, if nobody says otherwise [m], and the share of it that must be
 # left for a narrow phase to make do with the candidates that there are.
 _RADIUS = 0.006
@@ -233,7 +235,7 @@ def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats)
         dz = x[i, 2] - state.origin[i, 2]
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         bound = state.travel[i]
-        if distance > 0.8 * bound:
+        if distance > SPENT * bound:
             spent = True
             if distance > bound:
                 share = bound / distance

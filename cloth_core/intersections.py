@@ -1,4 +1,14 @@
-"""Exact counting: which sides of one mesh cross which triangles of another, and how deep points lie inside a body."""
+"""Exact counting: which sides of one mesh cross which triangles of another or of the same.
+
+When a side crosses a triangle, decided by exact signs (`orientation`):
+
+- its ends lie strictly on different sides of the triangle's plane, and it passes through the triangle, the triangle's
+  own sides and corners included: what goes through a seam between two triangles must not slip through unseen;
+- or one of its ends lies exactly in the triangle, and another side of the mesh that starts there leads to the other
+  side of the plane: the surface passes through at a corner.
+
+What only touches does not cross: a tip that reaches the plane, a side in the plane, triangles that lie on each other.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +18,17 @@ from numpy.typing import NDArray
 from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
+from cloth_core.orientation import orientation
+from cloth_core.pair_list import doubled
 
-__all__ = ["crossed_triangles", "crossing_edges", "segment_crosses", "self_crossing_edges"]
+__all__ = [
+    "crossed_triangles",
+    "crossing_edges",
+    "crossing_pairs",
+    "segment_crosses",
+    "self_crossing_edges",
+    "self_crossing_pairs",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -25,10 +44,18 @@ def crossing_edges(
         other_vertices, other_triangles: the mesh that is crossed.
         tree: of the other mesh, if there is one already.
     """
+    edges, pairs = crossing_pairs(vertices, triangles, other_vertices, other_triangles, tree)
+    return np.asarray(edges[np.unique(pairs[:, 0])])
+
+
+def crossing_pairs(
+    vertices: Floats, triangles: Ints, other_vertices: Floats, other_triangles: Ints, tree: AabbTree | None = None
+) -> tuple[Ints, Ints]:
+    """All sides (e, 2), and pairs (k, 2): index of a side, index of a triangle of the other mesh that it crosses."""
     edges, _ = unique_edges(triangles)
     tree = build_tree(other_vertices, other_triangles) if tree is None else tree
-    hit = _edges_through(vertices, edges, other_vertices, other_triangles, tree, np.zeros(0, dtype=np.int32))
-    return edges[hit]
+    nobody = np.zeros(0, dtype=np.int32)
+    return edges, _pairs(vertices, edges, other_vertices, other_triangles, tree, nobody)
 
 
 def self_crossing_edges(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> Ints:
@@ -36,51 +63,65 @@ def self_crossing_edges(vertices: Floats, triangles: Ints, identity: Ints | None
 
     Args:
         vertices, triangles: (n, 3) [m] and (m, 3).
-        identity: equal numbers are one corner, (n,); each vertex is its own if none is given.
+        identity: equal numbers are one corner, (n,), as when points are to be sewn together; each vertex is its own if
+            none is given.
     """
+    edges, pairs = self_crossing_pairs(vertices, triangles, identity)
+    return np.asarray(edges[np.unique(pairs[:, 0])])
+
+
+def self_crossing_pairs(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> tuple[Ints, Ints]:
+    """All sides (e, 2) of a mesh, and pairs (k, 2): index of a side, index of a triangle that it crosses; see above."""
     edges, _ = unique_edges(triangles)
-    identity = np.arange(len(vertices), dtype=np.int32) if identity is None else identity
-    hit = _edges_through(vertices, edges, vertices, triangles, build_tree(vertices, triangles), identity)
-    return edges[hit]
+    number = np.arange(len(vertices)) if identity is None else np.asarray(identity)
+    tree = build_tree(vertices, triangles)
+    return edges, _pairs(vertices, edges, vertices, triangles, tree, number.astype(np.int32))
 
 
-def crossed_triangles(vertices: Floats, triangles: Ints, identity: Ints) -> NDArray[np.bool_]:
+def crossed_triangles(vertices: Floats, triangles: Ints, identity: Ints | None = None) -> NDArray[np.bool_]:
     """Which triangles of a mesh are crossed by a side of it with which they share no corner, shape (m,)."""
-    crossing = self_crossing_edges(vertices, triangles, identity)
-    return _crossed(vertices, crossing, triangles, identity)
-
-
-@kernel
-def _crossed(x: Floats, edges: Ints, triangles: Ints, identity: Ints) -> NDArray[np.bool_]:
-    crossed = np.zeros(triangles.shape[0], dtype=np.bool_)
-    for e in range(edges.shape[0]):
-        i, j = edges[e, 0], edges[e, 1]
-        for t in range(triangles.shape[0]):
-            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            li, lj, la, lb, lc = identity[i], identity[j], identity[a], identity[b], identity[c]
-            if li == la or li == lb or li == lc or lj == la or lj == lb or lj == lc:
-                continue
-            if not crossed[t] and segment_crosses(x[i], x[j], x[a], x[b], x[c]):
-                crossed[t] = True
+    crossed = np.zeros(len(triangles), dtype=bool)
+    crossed[self_crossing_pairs(vertices, triangles, identity)[1][:, 1]] = True
     return crossed
+
+
+def _pairs(x: Floats, edges: Ints, other_x: Floats, other_triangles: Ints, tree: AabbTree, number: Ints) -> Ints:
+    x, other_x = np.ascontiguousarray(x), np.ascontiguousarray(other_x)
+    crossed, touched = _edges_through(x, edges, other_x, other_triangles, tree, number)
+    if len(touched):
+        # Of the sides that end in a triangle those cross that have a partner on the other side of it.
+        end = edges[touched[:, 0], touched[:, 2]].astype(np.int64)
+        place = end * max(len(other_triangles), 1) + touched[:, 1]
+        _, group = np.unique(place, return_inverse=True)
+        up = np.bincount(group.ravel(), weights=touched[:, 3] > 0) > 0
+        down = np.bincount(group.ravel(), weights=touched[:, 3] < 0) > 0
+        crossed = np.concatenate([crossed, touched[(up & down)[group.ravel()], :2]])
+    return np.unique(crossed, axis=0) if len(crossed) else crossed
 
 
 @kernel
 def _edges_through(
-    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, identity: Ints
-) -> NDArray[np.bool_]:
-    hit = np.zeros(edges.shape[0], dtype=np.bool_)
+    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, number: Ints
+) -> tuple[Ints, Ints]:
+    """Pairs (side, triangle) that cross, (k, 2), and rows (side, triangle, which end, sign of the other end) of sides
+    that end in a triangle, (j, 4). With a number for each vertex, what shares a corner is left out.
+    """
+    crossed, crossed_count = np.empty((64, 2), dtype=np.int32), 0
+    touched, touched_count = np.empty((64, 4), dtype=np.int32), 0
+    # Trees are balanced: 22 levels hold two million triangles, and a level adds one entry.
     stack = np.zeros(128, dtype=np.int32)
     low, high = np.zeros(3), np.zeros(3)
+    same_mesh = number.shape[0] > 0
     for e in range(edges.shape[0]):
         if tree.triangle.shape[0] == 0:
             break
-        p, q = x[edges[e, 0]], x[edges[e, 1]]
+        i, j = edges[e, 0], edges[e, 1]
+        p, q = x[i], x[j]
         for k in range(3):
             low[k], high[k] = min(p[k], q[k]), max(p[k], q[k])
         top = 1
         stack[0] = 0
-        while top > 0 and not hit[e]:
+        while top > 0:
             top -= 1
             node = stack[top]
             apart = False
@@ -95,30 +136,43 @@ def _edges_through(
                 top += 2
                 continue
             a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-            if identity.shape[0] > 0:
-                i, j = identity[edges[e, 0]], identity[edges[e, 1]]
-                la, lb, lc = identity[a], identity[b], identity[c]
-                if i == la or i == lb or i == lc or j == la or j == lb or j == lc:
+            if same_mesh:
+                shared = False
+                for corner in (number[a], number[b], number[c]):
+                    shared = shared or corner == number[i] or corner == number[j]
+                if shared:
                     continue
-            hit[e] = segment_crosses(p, q, vertices[a], vertices[b], vertices[c])
-    return hit
+            above = orientation(vertices[a], vertices[b], vertices[c], p)
+            below = orientation(vertices[a], vertices[b], vertices[c], q)
+            if above == below or not _line_meets(p, q, vertices[a], vertices[b], vertices[c]):
+                continue
+            if above != 0 and below != 0:
+                if crossed_count == crossed.shape[0]:
+                    crossed = doubled(crossed)
+                crossed[crossed_count, 0] = e
+                crossed[crossed_count, 1] = t
+                crossed_count += 1
+            else:
+                if touched_count == touched.shape[0]:
+                    touched = doubled(touched)
+                touched[touched_count, 0] = e
+                touched[touched_count, 1] = t
+                touched[touched_count, 2] = 0 if above == 0 else 1
+                touched[touched_count, 3] = above + below
+                touched_count += 1
+    return crossed[:crossed_count].copy(), touched[:touched_count].copy()
 
 
 @kernel
 def segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
-    """Whether pq passes through abc from one side to the other, by the signs of five tetrahedra's volumes."""
-    above, below = _volume(a, b, c, p), _volume(a, b, c, q)
-    if (above > 0.0) == (below > 0.0) or above == 0.0 or below == 0.0:
+    """Whether p and q lie strictly on different sides of abc and pq passes through it, sides and corners included."""
+    if orientation(a, b, c, p) * orientation(a, b, c, q) >= 0:
         return False
-    u, v, w = _volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)
-    # Through a side that two triangles share counts as well: otherwise both would leave it to the other.
-    return bool((u >= 0.0 and v >= 0.0 and w >= 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0))
+    return _line_meets(p, q, a, b, c)
 
 
 @kernel
-def _volume(a: Floats, b: Floats, c: Floats, d: Floats) -> float:
-    """Six times the signed volume of the tetrahedron abcd [m^3]."""
-    bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    dx, dy, dz = d[0] - a[0], d[1] - a[1], d[2] - a[2]
-    return float(dx * (by * cz - bz * cy) + dy * (bz * cx - bx * cz) + dz * (bx * cy - by * cx))
+def _line_meets(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
+    """Whether the line pq, which does not lie in the plane of abc, meets abc, sides and corners included."""
+    u, v, w = orientation(p, q, a, b), orientation(p, q, b, c), orientation(p, q, c, a)
+    return (u >= 0 and v >= 0 and w >= 0) or (u <= 0 and v <= 0 and w <= 0)

@@ -195,11 +195,11 @@ def _merge_equal(
     points: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Join vertices with equal coordinates; the first of each keeps its place in the order."""
-    _, first, inverse = np.unique(points + 0.0, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return points[first[order]], rank[inverse.reshape(-1)][faces]
+    from cloth_core.equal_rows import first_of_equal
+
+    first = first_of_equal(np.ascontiguousarray(points + 0.0).view(np.uint64))
+    kept = first == np.arange(len(points))
+    return points[kept], (np.cumsum(kept) - 1)[first][faces]
 
 
 def _check_arrays(target: Path, points: NDArray[np.float64], faces: NDArray[Any]) -> None:

@@ -19,7 +19,8 @@ from cloth_core.sewing import SeamPull, build_seam_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
-from cloth_core.strain_limit import build_strain_limit
+from cloth_core.strain_limit import build_strain_limit, no_strain_limit
+from cloth_core.switched_off import marked_off, scene_without
 
 __all__ = ["Model", "Term"]
 
@@ -57,7 +58,7 @@ class Model:
     """A scene made ready to run.
 
     Args:
-        scene: what is simulated.
+        scene: what is simulated; the model's own `scene` is without what is switched off.
         closed: the seams that are merged; the others stay open (and are pulled together while `sewing`).
         sewing: whether open seams pull, and gravity waits until they have closed.
 
@@ -72,6 +73,7 @@ class Model:
     """
 
     def __init__(self, scene: Scene, closed: tuple[Seam, ...] = (), sewing: bool = False) -> None:
+        without, scene = scene.without, scene_without(scene)
         garment, fabric = scene.garment, scene.fabric
         self.scene = scene
         self.closed = closed
@@ -101,15 +103,21 @@ class Model:
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
-        self.strain_limit = build_strain_limit(self.springs, fabric.strain_limit)
-        offset = scene.settings.contact_offset
-        self.contact: Contact | None = Contact(
-            self.triangles,
-            BodyContact(scene.body, offset) if scene.body is not None else None,
-            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset, sewing),
-            radius=min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing),
+        self.strain_limit = (
+            no_strain_limit() if "strain limit" in without else build_strain_limit(self.springs, fabric.strain_limit)
         )
-        self.terms = self._terms(closed)
+        offset = scene.settings.contact_offset
+        body = BodyContact(scene.body, offset) if scene.body is not None else None
+        cloth = (
+            SelfContact.of(garment, self.number, self.triangles, scene.settings.cloth_offset, sewing)
+            if "self contact" not in without
+            else None
+        )
+        self.contact: Contact | None = None
+        if body is not None or cloth is not None:
+            radius = min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing)
+            self.contact = Contact(self.triangles, body, cloth, radius=radius)
+        self.terms = marked_off(self._terms(closed), without)
 
     def soften(self, softness: float) -> None:
         """Multiply the structural stiffness by softness (0 to 1), but not to below twice that of the shear springs.

@@ -171,7 +171,7 @@ def hold_pairs(
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,); body_x (b, 3) [m]; moved (n,), way of each particle since the
     search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near comes out.
     """
-    count = _find_active(x, v, pairs, body_x, dt, moved)
+    count = _find_active(x, v, inverse_mass, pairs, body_x, dt, moved)
     for _ in range(_SWEEPS if count > 0 else 0):
         for entry in range(count):
             s = pairs.active[entry]
@@ -216,12 +216,23 @@ def hold_pairs(
 
 
 @kernel
-def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: float, moved: Floats) -> int:
+def _find_active(
+    x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, body_x: Floats, dt: float, moved: Floats
+) -> int:
     """Measure the pairs that can have come near; list those in contact, with weights, normal and gap."""
     count = 0
     closest = np.zeros(3)
     for entry in range(pairs.listed_count[0]):
         s = pairs.listed[entry]
+        size = pairs.impulse[s]
+        if size > 0.0:  # it was given on trust at the beginning of the step, where the parts touched in the last one
+            _apply(
+                x, v, inverse_mass, pairs, s,
+                -size * pairs.normal[s, 0] - pairs.friction[s, 0],
+                -size * pairs.normal[s, 1] - pairs.friction[s, 1],
+                -size * pairs.normal[s, 2] - pairs.friction[s, 2],
+                dt,
+            )  # fmt: skip
         # Nothing can have come nearer than by the way that its particles went since the search.
         reach = COUNTS_FROM * pairs.offset[s]
         squared = np.inf
@@ -238,6 +249,14 @@ def _find_active(x: Floats, v: Floats, pairs: PairContacts, body_x: Floats, dt: 
         vx, vy, vz = _relative_velocity(v, pairs, s)
         approach = vx * pairs.normal[s, 0] + vy * pairs.normal[s, 1] + vz * pairs.normal[s, 2]
         pairs.gap[s] = distance - pairs.offset[s] - dt * approach
+        if size > 0.0:  # and it is given again where they touch now
+            _apply(
+                x, v, inverse_mass, pairs, s,
+                size * pairs.normal[s, 0] + pairs.friction[s, 0],
+                size * pairs.normal[s, 1] + pairs.friction[s, 1],
+                size * pairs.normal[s, 2] + pairs.friction[s, 2],
+                dt,
+            )  # fmt: skip
         pairs.active[count] = s
         count += 1
     pairs.active_count[0] = count

@@ -103,13 +103,22 @@ class Stitch:
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A checked sewing pattern; `panels` in the file's `panel_order`, `source` is the JSON text it was read from."""
+    """A checked sewing pattern; `panels` in the file's `panel_order`, `source` is the JSON text it was read from.
+
+    Of a file that is a list of patterns `layers` has each, the innermost garment first; panels and stitches are theirs.
+    """
 
     name: str
     panels: Mapping[str, Panel]
     stitches: tuple[Stitch, ...]
     warnings: tuple[str, ...] = ()
     source: str = field(default="", repr=False)
+    layers: tuple[Pattern, ...] = ()
+
+    @property
+    def area(self) -> float:
+        """Of all panels [m^2]."""
+        return sum(abs(panel.area) for panel in self.panels.values())
 
     file_suffix: ClassVar[str] = "_specification"  # that GarmentCode adds to the name of a pattern file
 

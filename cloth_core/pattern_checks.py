@@ -49,7 +49,8 @@ def check_outline(panel: Panel) -> None:
     import shapely
 
     where = f"panel {panel.name!r}"
-    for count in _SAMPLES_PER_CURVE:
+    most = max(_MAX_SAMPLES // len(panel.edges), 8)
+    for count in (min(count, most) for count in _SAMPLES_PER_CURVE):
         lines = [
             edge.curve.point(np.linspace(0.0, 1.0, 2 if isinstance(edge.curve, Line) else count))
             for edge in panel.edges

@@ -34,9 +34,11 @@ from cloth_core.json_values import (
 )
 from cloth_core.pattern import MAX_TEXT_BYTES, Edge, Panel, Pattern, Stitch, StitchSide
 from cloth_core.pattern_checks import check_merging, check_outline, check_size, seam_warnings
+from cloth_core.pattern_layers import layered
 
-__all__ = ["MAX_EDGES", "MAX_PANELS", "MAX_VERTICES", "read_pattern"]
+__all__ = ["MAX_EDGES", "MAX_LAYERS", "MAX_PANELS", "MAX_VERTICES", "read_pattern"]
 
+MAX_LAYERS = 16
 MAX_PANELS = 500
 MAX_VERTICES = 5_000  # per panel
 MAX_EDGES = 20_000  # of all panels together
@@ -49,9 +51,18 @@ _FILE_TO_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]) 
 
 
 def read_pattern(text: str | bytes, name: str = "pattern") -> Pattern:
-    """Parse and check a pattern. PatternError, and nothing else, for whatever is wrong with the text."""
+    """Parse and check a pattern. PatternError, and nothing else, for whatever is wrong with the text.
+
+    A list of patterns is read as one that holds them as `layers`, the innermost garment first.
+    """
     source = _decode(text)
     root = _parse(source)
+    if isinstance(root, list):
+        return _read_layers(root, name, source)
+    return _read_root(json_object(root, "the pattern file"), name, source)
+
+
+def _read_root(root: Mapping[str, Any], name: str, source: str) -> Pattern:
     properties = json_object(required(root, "properties", "the pattern file"), "properties")
     body = json_object(required(root, "pattern", "the pattern file"), "pattern")
     units = _units(properties)
@@ -80,6 +91,30 @@ def read_pattern(text: str | bytes, name: str = "pattern") -> Pattern:
     return Pattern(name, panels, stitches, tuple(warnings), source)
 
 
+def _read_layers(entries: list[Any], name: str, source: str) -> Pattern:
+    if not 1 <= len(entries) <= MAX_LAYERS:
+        raise PatternError(f"the pattern file is a list of {len(entries)}; give 1 to {MAX_LAYERS} patterns")
+    layers: list[Pattern] = []
+    for number, entry in enumerate(entries, start=1):
+        where = f"pattern {number} of the list"
+        try:
+            root = json_object(entry, where)
+            layers.append(_read_root(root, _layer_name(root, where) or f"{name} {number}", json.dumps(entry)))
+        except PatternError as error:
+            raise PatternError(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+    return layered(name, layers, source)
+
+
+def _layer_name(root: Mapping[str, Any], where: str) -> str | None:
+    """What a pattern in a list calls itself, under a key that the format leaves free."""
+    name = root.get("name")
+    if name is not None and (not isinstance(name, str) or len(name) > MAX_NAME_LENGTH or not name.isprintable()):
+        raise PatternError(
+            f"{where}, name: expected a text of at most {MAX_NAME_LENGTH} printable characters, found {shown(name)}"
+        )
+    return name or None
+
+
 # ---- text and root
 
 
@@ -99,16 +134,16 @@ def _decode(text: str | bytes) -> str:
     return decoded
 
 
-def _parse(source: str) -> dict[str, Any]:
+def _parse(source: str) -> object:
     try:
-        root = json.loads(source, object_pairs_hook=_without_duplicates)
+        root: object = json.loads(source, object_pairs_hook=_without_duplicates)
     except RecursionError:
         raise PatternError("the JSON text is nested too deep to be a pattern") from None
     except json.JSONDecodeError as error:
         raise PatternError(f"not JSON: {error.msg} at line {error.lineno}, column {error.colno}") from None
     except ValueError:  # an integer with thousands of digits
         raise PatternError("the JSON text has a number with too many digits; write it shorter") from None
-    return json_object(root, "the pattern file")
+    return root
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

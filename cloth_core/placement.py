@@ -2,64 +2,106 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.aabb_tree import build_tree
 from cloth_core.body import Body
-from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
+from cloth_core.intersections import crossing_edges
+from cloth_core.mesh_distance import distances_to_mesh
 
 __all__ = ["clear_of_body"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 _STEP = 0.01  # m
 _FARTHEST = 1.0  # m
 
 
 def clear_of_body(garment: Garment, body: Body, gap: float) -> Garment:
-    """Move each panel along its normal, outwards first, until no point of it is nearer to the body than gap [m].
+    """Move each panel along its normal until it is clear of the body: no nearer than gap [m] and not inside.
+
+    A panel that is sewn to anything goes outwards, however much nearer the other side is: a sleeve has one panel in
+    front of the arm and one behind it, and must not end up with both on one side. Inwards is tried only where outwards
+    is not clear within 1 m. A single sheet goes where it is nearer.
 
     Raises:
         SceneError: a panel is not clear within 1 m either way.
     """
     start = garment.start.copy()
     warnings = list(garment.warnings)
+    sewn = {int(garment.panel_of_particle[side[0]]) for seam in garment.seams for side in (seam.first, seam.second)}
     for k, name in enumerate(garment.panel_names):
         own = np.flatnonzero(garment.panel_of_particle == k)
         local = np.full(len(start), -1, dtype=np.int32)
         local[own] = np.arange(len(own))
         triangles = local[garment.triangles[garment.panel_of_triangle == k]]
-        against = BodyContact(body, gap)
-        contact = Contact(triangles, against)
-        shift = _clear_shift(contact, against, garment.start[own], garment.panel_normals[k], gap)
+        normal = garment.panel_normals[k]
+        nearby = _Surroundings(body, garment.start[own], normal)
+        shift = next(
+            (s for s in _shifts(k in sewn) if nearby.is_clear(garment.start[own] + s * normal, triangles, gap)), None
+        )
         if shift is None:
             raise SceneError(
                 f"panel '{name}': lies inside the body and is not clear of it within {_FARTHEST:g} m; "
                 "place it in front of or behind the body"
             )
         if shift != 0.0:
-            start[own] += shift * garment.panel_normals[k]
+            start[own] += shift * normal
             side = "outwards" if shift > 0 else "inwards"
             warnings.append(f"panel '{name}': starts inside the body; moved {abs(1000 * shift):.0f} mm {side}")
     return replace(garment, start=start, warnings=tuple(warnings))
 
 
-def _clear_shift(contact: Contact, body: BodyContact, x: Floats, normal: Floats, gap: float) -> float | None:
-    for distance in np.arange(0.0, _FARTHEST, _STEP):
-        for direction in (1.0, -1.0):
-            moved = np.ascontiguousarray(x + direction * distance * normal)
-            travel = contact.search(moved, gap).travel
-            # One point tells inside from outside for all of a panel that nothing crosses.
-            inside = not body.body.warnings and float(body.body.signed_distance(moved[:1])[0]) < 0.0
-            # Reach is twice the gap, so a panel that keeps its travel of a full gap has nothing nearer than it; one
-            # that is crossed by the body has sides or corners at no distance from it.
-            if float(travel.min()) >= 0.9 * gap and not inside and not body.crosses(moved, contact.triangles):
-                return float(direction * distance)
-            if distance == 0.0:
-                break
-    return None
+def _shifts(sewn: bool) -> Iterator[float]:
+    """Distances along the normal [m] in the order in which they are tried."""
+    distances = [float(d) for d in np.arange(0.0, _FARTHEST, _STEP)]
+    if sewn:
+        yield from distances
+        yield from (-d for d in distances[1:])
+    else:
+        yield 0.0
+        for distance in distances[1:]:
+            yield distance
+            yield -distance
+
+
+class _Surroundings:
+    """The part of a body that a panel (n, 3) [m] can meet on its way along a normal."""
+
+    def __init__(self, body: Body, panel: Floats, normal: Floats) -> None:
+        self._body = body
+        way = _FARTHEST * np.abs(normal) + 2.0 * _STEP
+        low, high = panel.min(axis=0) - way, panel.max(axis=0) + way
+        corners = body.vertices[body.triangles]
+        near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
+        used, index = np.unique(body.triangles[near], return_inverse=True)
+        self._vertices = np.ascontiguousarray(body.vertices[used])
+        self._triangles = index.reshape(-1, 3).astype(np.int32)
+        self._tree = build_tree(self._vertices, self._triangles)
+
+    def is_clear(self, panel: Floats, triangles: Ints, gap: float) -> bool:
+        """Whether nothing of the panel is inside the body, crosses it or has a corner of it nearer than gap [m]."""
+        # One point tells inside from outside for all of a panel that nothing crosses.
+        if self._body.winding_number(panel[:1])[0] > 0.5:
+            return False
+        if len(self._triangles) == 0:
+            return True
+        # The distance is measured where the body's corners are near: it usually has more of them than the panel.
+        if (distances_to_mesh(np.ascontiguousarray(panel), self._vertices, self._triangles, self._tree) < gap).any():
+            return False
+        tree = build_tree(panel, triangles)
+        low, high = panel.min(axis=0) - gap, panel.max(axis=0) + gap
+        close = ((self._vertices >= low) & (self._vertices <= high)).all(axis=1)
+        if (distances_to_mesh(self._vertices[close], panel, triangles, tree) < gap).any():
+            return False
+        return not (
+            len(crossing_edges(panel, triangles, self._vertices, self._triangles, self._tree))
+            or len(crossing_edges(self._vertices, self._triangles, panel, triangles, tree))
+        )

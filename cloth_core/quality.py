@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from cloth_core.calibration import Cloth, calibration
 from cloth_core.errors import SceneError
 
-__all__ = ["EXPECTED_ERROR_SOURCE", "QUALITIES", "Settings", "settings_for"]
+__all__ = ["NOT_MEASURED", "QUALITIES", "Settings", "settings_for", "with_expected_error"]
 
 # Particle spacing [m] of each quality.
 QUALITIES = {"draft": 0.025, "normal": 0.015, "fine": 0.010}
 
-# Distance of the resting drape from that at 10 mm spacing, RMS over points of both surfaces, both ways [m]: built-in
-# T-shirt in cotton poplin on the young body. Draft takes the figure of 30 mm; nothing finer than 10 mm is measured yet.
-EXPECTED_ERROR = {"draft": 0.0097, "normal": 0.0071}
-EXPECTED_ERROR_SOURCE = "RMS distance to the drape at 10 mm spacing, built-in T-shirt on the young body"
+NOT_MEASURED = "not measured at these settings"
+
+# What a calibrated setting may differ in from the default ones: the resting drape does not depend on it.
+_FREE = ("spacing", "tolerance", "expected_error", "expected_error_source", "max_time")
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Settings:
     Attributes:
         spacing: particle spacing [m].
         tolerance: largest error asked for [m], if one was.
-        expected_error: what this spacing is measured to differ from a fine one [m], None where nothing is measured.
+        expected_error: promised RMS distance to the reference drape of the source [m], None where nothing is measured.
+        expected_error_source: where that promise comes from.
         time_step: [s]; None takes `safety` times the stable one. A longer one than that is cut into sub-steps.
         safety: share of the stable time step that is used.
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
@@ -43,6 +45,7 @@ class Settings:
     spacing: float = QUALITIES["normal"]
     tolerance: float | None = None
     expected_error: float | None = None
+    expected_error_source: str = NOT_MEASURED
     time_step: float | None = None
     safety: float = 0.9
     contact_offset: float = 0.003
@@ -59,22 +62,38 @@ class Settings:
 
     def __post_init__(self) -> None:
         for key, value in self.__dict__.items():
-            if value is not None and not (math.isfinite(value) and value > 0.0):
+            if value is None or isinstance(value, str):
+                continue
+            if not (math.isfinite(value) and value > 0.0):
                 raise SceneError(f"settings, {key}: {value!r} is not a positive number; give one in SI units")
         if self.safety > 1.0:
             raise SceneError(f"settings, safety: {self.safety:g} is above 1, where no run is stable; use at most 1")
 
 
-def settings_for(quality: str = "normal", tolerance: float | None = None) -> Settings:
-    """Settings of a quality, or the coarsest ones measured to meet a tolerance [m]; the finest if none does.
+def settings_for(quality: str = "normal", tolerance: float | None = None, cloth: Cloth | None = None) -> Settings:
+    """Settings of a quality, or the coarsest ones promised to meet a tolerance [m]; the finest if none is.
+
+    Args:
+        quality: draft, normal or fine.
+        tolerance: largest error [m], in place of the quality.
+        cloth: what it is for; without it the least favourable of all that is calibrated.
 
     Raises:
         SceneError: unknown quality, or a tolerance that is not positive.
     """
     if quality not in QUALITIES:
         raise SceneError(f"quality '{quality}': not known; use one of {', '.join(QUALITIES)}")
+    spacing = QUALITIES[quality]
     if tolerance is not None:
         if not (math.isfinite(tolerance) and tolerance > 0.0):
             raise SceneError(f"tolerance: {tolerance!r} m is not a positive length; give one in metres")
-        quality = next((name for name, error in EXPECTED_ERROR.items() if error <= tolerance), "fine")
-    return Settings(QUALITIES[quality], tolerance, EXPECTED_ERROR.get(quality))
+        spacing = calibration().spacing(tolerance, cloth) or min(QUALITIES.values())
+    return with_expected_error(Settings(spacing, tolerance), cloth)
+
+
+def with_expected_error(settings: Settings, cloth: Cloth | None = None) -> Settings:
+    """The settings with what is promised for them; nothing is where they differ from those that were calibrated."""
+    plain = replace(Settings(), **{key: getattr(settings, key) for key in _FREE})
+    promise = calibration().promise(settings.spacing, cloth) if settings == plain else None
+    source = NOT_MEASURED if promise is None else calibration().source
+    return replace(settings, expected_error=promise, expected_error_source=source)

@@ -18,13 +18,14 @@ class Report:
         garment, body, fabric: names.
         particles: of the garment as it is now (merged at closed seams).
         triangles, springs: counts.
-        terms: name -> {"active", "reason", "elements", "microseconds_per_step"}.
+        terms: name -> {"active", "reason", "elements", "microseconds_per_step", "share" (of a step's time), "within"
+            (the term in whose time it is counted), "missed" (what the run lacks without it, if it was switched off)}.
         time_step: last one used [s]; stable_time_step: the largest stable one at the end [s].
         steps: done; simulated_time: [s]; wall_time: [s], compilation included.
         settled: whether it is at rest; rest_reason: by which criterion, or why it ended without rest.
         max_strain: largest extension of a structural spring; mean_strain: mean magnitude over all of them.
         max_shear_strain: largest extension of a shear spring.
-        expected_error: how far this spacing's drape is expected from a fine one's [m], null where nothing is measured.
+        expected_error: promised RMS distance to the reference drape of the source [m], null where nothing is measured.
         expected_error_source: where that expectation comes from.
         strain_limit: of the fabric; a larger max_strain gives a warning.
         max_seam_gap: largest distance of two points to be sewn [m].
@@ -35,6 +36,7 @@ class Report:
         contact_searches: how often contacts were searched.
         warnings: one line each.
         state_sha256: hash of the final positions and velocities.
+        gate: verdict of GarmentCode's gate (`gate.judge`), null where it was not asked for.
     """
 
     garment: str
@@ -65,6 +67,7 @@ class Report:
     expected_error_source: str
     warnings: tuple[str, ...] = field(default=())
     state_sha256: str = ""
+    gate: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """All values as JSON types; a number that is not finite becomes null."""

@@ -10,16 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body import Body
+from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
+from cloth_core.layering import separate_panels
 from cloth_core.pattern import Pattern
+from cloth_core.pattern_layers import layers_of
 from cloth_core.placement import clear_of_body
-from cloth_core.quality import Settings, settings_for
+from cloth_core.quality import Settings, settings_for, with_expected_error
+from cloth_core.switched_off import check_without
 
 __all__ = ["Scene"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
+# Between panels that had to be moved apart at the start [m].
+_PANEL_GAP = 0.01
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,7 @@ class Scene:
         gravity: [m/s^2], shape (3,).
         air_drag: k_a [1/s].
         settings: spacing, time step, contact, rest.
+        without: names of terms that are switched off by hand; a report says what the run lacks for want of them.
         warnings: one line each.
     """
 
@@ -44,12 +51,14 @@ class Scene:
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     air_drag: float = 1.0
     settings: Settings = field(default_factory=Settings)
+    without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.gravity) != 3 or not all(math.isfinite(g) for g in self.gravity):
             raise SceneError(f"gravity: {self.gravity!r} is not three finite numbers; give m/s^2, z up")
         if not (math.isfinite(self.air_drag) and self.air_drag >= 0.0):
             raise SceneError(f"air drag: {self.air_drag!r} is not a number of at least 0; give it in 1/s")
+        check_without(self.without)
         pins = np.asarray(self.pins)
         if pins.size and (pins.min() < 0 or pins.max() >= self.garment.particle_count):
             wrong = int(pins[(pins < 0) | (pins >= self.garment.particle_count)][0])
@@ -60,7 +69,7 @@ class Scene:
         """What a user should know before the run, one line each."""
         settings = self.settings
         lines: tuple[str, ...] = ()
-        if settings.tolerance is not None and (settings.expected_error or math.inf) > settings.tolerance:
+        if settings.tolerance is not None and (settings.expected_error or math.inf) > settings.tolerance * (1.0 + 1e-9):
             lines = (
                 f"tolerance {1000 * settings.tolerance:g} mm: finer than any setting is measured to reach; the finest, "
                 f"{1000 * settings.spacing:g} mm, is taken without a promise",
@@ -80,11 +89,12 @@ class Scene:
         gravity: float = STANDARD_GRAVITY,
         air_drag: float = 1.0,
         pins: Sequence[int] = (),
+        without: Sequence[str] = (),
     ) -> Scene:
         """Discretise patterns and put them around a body.
 
         Args:
-            patterns: one or several; several become one scene with all their panels.
+            patterns: one or several, the innermost garment first; all their panels become one scene.
             body: what they are draped on.
             fabric: cotton poplin if none is given.
             quality: draft, normal or fine; ignored when settings are given.
@@ -93,26 +103,37 @@ class Scene:
             gravity: downward [m/s^2].
             air_drag: k_a [1/s].
             pins: particles that are held, unsewn numbering.
+            without: names of terms to switch off.
 
         Raises:
             ClothError: anything that does not fit together.
         """
-        chosen = settings_for(quality, tolerance) if settings is None else settings
         one = [patterns] if isinstance(patterns, Pattern) else list(patterns)
         if not one:
             raise SceneError("scene: there is no pattern; give at least one")
-        garment = Garment.joined([Garment.from_pattern(p, chosen.spacing) for p in one])
+        worn = layers_of(one)
+        fabric = Fabric.preset("cotton_poplin") if fabric is None else fabric
+        cloth = Cloth.of(sum(pattern.area for pattern in worn), fabric)
+        chosen = settings_for(quality, tolerance, cloth) if settings is None else with_expected_error(settings, cloth)
+        garments = [Garment.from_pattern(p, chosen.spacing) for p in worn]
+        garment = Garment.joined(garments)
+        layers = [k for k, g in enumerate(garments) for _ in g.panel_names]
         if body is not None:
             _check_scale(garment, body)
             garment = clear_of_body(garment, body, chosen.contact_offset)
+        apart = separate_panels(garment, layers, _PANEL_GAP)
+        if body is not None and apart is not garment:
+            apart = clear_of_body(apart, body, chosen.contact_offset)
+        garment = apart
         return cls(
             garment=garment,
-            fabric=Fabric.preset("cotton_poplin") if fabric is None else fabric,
+            fabric=fabric,
             body=body,
             pins=np.unique(np.asarray(pins, dtype=np.int32)),
             gravity=(0.0, 0.0, -gravity),
             air_drag=air_drag,
             settings=chosen,
+            without=tuple(without),
         )
 
 

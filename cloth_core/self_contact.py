@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
 from cloth_core.closest_points import point_triangle, segment_segment
+from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 from cloth_core.intersections import crossed_triangles, self_crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
@@ -25,6 +26,9 @@ Ints = NDArray[np.int32]
 
 # Neighbours are held apart at this share of the lowest height of the triangles around them.
 _NEIGHBOUR_SHARE = 0.3
+# Pairs of triangles whose boxes overlap, in all and for each triangle: about a dozen in one layer, and as many for each
+# layer beside it. More than a heap of cloth has would take memory and time out of all proportion.
+_MOST_PAIRS, _PAIRS_PER_TRIANGLE = 100_000, 200
 
 
 class SelfContact:
@@ -69,14 +73,23 @@ class SelfContact:
 
         Returns:
             pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
+
+        Raises:
+            SceneError: dozens of layers lie at the same place.
         """
         if self._tree is None:
             self._tree = build_tree(x, self.triangles)
         refit_tree(self._tree, x, self.triangles, 0.5 * self.offset + radius)
-        found = self_overlapping_pairs(self._tree, self._leaf_pairs)
+        most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * len(self.triangles)
+        found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
+        if found > most:
+            raise SceneError(
+                f"garment: too much of it lies at the same place, more than {most} pairs of triangles; place its "
+                "panels apart from each other"
+            )
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
-            found = self_overlapping_pairs(self._tree, self._leaf_pairs)
+            found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
         rows, lengths = _candidates(
             x, self.triangles, self._representatives, self.identity, self._neighbour_start, self._neighbours,
             self._room, self._leaf_pairs[:found], self.offset, self.offset + 2.0 * radius,
@@ -119,17 +132,17 @@ def _neighbours(triangles: Ints) -> tuple[Ints, Ints]:
 
 
 @kernel
-def self_overlapping_pairs(tree: AabbTree, pairs: Ints) -> int:
+def self_overlapping_pairs(tree: AabbTree, pairs: Ints, most: int = 2**62) -> int:
     """Traversal of a tree against itself: all pairs of different triangles whose boxes overlap, each once.
 
-    At most len(pairs) are written to pairs (p, 2); the number found is returned.
+    At most len(pairs) are written to pairs (p, 2); the number found is returned. The search ends at more than `most`.
     """
     found = 0
     if tree.triangle.shape[0] == 0:
         return found
     stack = np.zeros((1024, 2), dtype=np.int32)
     top = 1
-    while top > 0:
+    while top > 0 and found <= most:
         top -= 1
         i, j = stack[top, 0], stack[top, 1]
         if top + 4 > stack.shape[0]:

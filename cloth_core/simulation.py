@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import ContactState
+from cloth_core.contact import SPENT, ContactState
 from cloth_core.errors import SimulationError
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
-from cloth_core.quality import EXPECTED_ERROR_SOURCE
 from cloth_core.report import Report
 from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
@@ -24,7 +23,9 @@ from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
+from cloth_core.switched_off import missed_effects, scene_without
 from cloth_core.term_cost import term_costs
+from cloth_core.term_shares import term_shares
 
 __all__ = ["Progress", "Simulation"]
 
@@ -48,6 +49,8 @@ _STALLED = 0.9
 _SOFTNESS = 1.0 / 16.0
 _STIFFENING_TIME = 0.1
 _NEARLY = 6.0
+# What touches may go this share of the distance between layers in a step, however little room it has.
+_LEAST_ROOM = 0.1
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -107,8 +110,9 @@ class Simulation:
         self._next_sewing = 0.0
         self._speed = 0.0
         garment = scene.garment
-        self._use(Model(scene, sewing=bool(garment.seams)), garment.start, np.zeros_like(garment.start))
-        self.phase = SEWING if scene.garment.seams else DRAPING
+        sewing = bool(scene_without(scene).garment.seams)
+        self._use(Model(scene, sewing=sewing), garment.start, np.zeros_like(garment.start))
+        self.phase = SEWING if sewing else DRAPING
         self._wall += time.perf_counter() - began
 
     # -- what others read --
@@ -215,12 +219,14 @@ class Simulation:
         settings = self.scene.settings
         while done < count:
             openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
+            step = min(dt, self._flight_step)
+            self._rescale_impulses(step)
             did = run_steps(
-                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, dt,
+                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
                 count - done, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
-            self.time += did * dt
+            self.time += did * step
             if done < count and self.model.contact is not None:
                 self._check_finite(good_x, good_v)
                 self._search_contacts()
@@ -244,6 +250,15 @@ class Simulation:
         if wall > 0.0:
             self._speed += 0.1 * ((self.time - before) / wall - self._speed)
 
+    def _rescale_impulses(self, step: float) -> None:
+        """Impulses that the next step starts from belong to the last step's length [s]; forces go on, not impulses."""
+        if step != self._impulse_step:
+            ratio = step / self._impulse_step
+            self.model.strain_limit.impulse[:] *= ratio
+            self._contacts.pairs.impulse[:] *= ratio
+            self._contacts.pairs.friction[:] *= ratio
+            self._impulse_step = step
+
     # -- parts of a run --
 
     def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
@@ -261,6 +276,8 @@ class Simulation:
         self._contact_settings = model.contact_settings()
         self._stable = model.stable_step(self._x, self._air_drag())
         self._contacts = ContactState.none()
+        self._flight_step = math.inf
+        self._impulse_step = 1.0
         self._refresh_time_step(estimate=False)
         if model.contact is not None:
             self._search_contacts()
@@ -268,7 +285,7 @@ class Simulation:
 
     def _air_drag(self) -> float:
         extra = self.scene.settings.settle_drag if self._seeking_rest or self.model.sewing else 0.0
-        return max(self.scene.air_drag, extra)
+        return max(self.model.scene.air_drag, extra)
 
     def _refresh_time_step(self, estimate: bool = True) -> None:
         drag = self._air_drag()
@@ -293,9 +310,13 @@ class Simulation:
         reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, _MOST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
+        # What may be left of a way when it counts as not yet spent is enough for one more step: nothing is stopped.
+        room = (1.0 - SPENT) * self._contacts.travel
+        room = np.maximum(room, _LEAST_ROOM * self.scene.settings.cloth_offset)
+        self._flight_step = float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:
-        return bool((self._moved > 0.8 * self._contacts.travel).any())
+        return bool((self._moved > SPENT * self._contacts.travel).any())
 
     def _largest_speed(self) -> float:
         return float(np.sqrt((self._v**2).sum(axis=1).max()))
@@ -410,7 +431,7 @@ class Simulation:
         return self.time + max(windows, 1.0) * settings.rest_window
 
     def _unsupported(self) -> str | None:
-        scene = self.scene
+        scene = self.model.scene
         if self.phase == SEWING or not any(scene.gravity):
             return None
         if scene.body is None and len(scene.pins) == 0:
@@ -442,7 +463,8 @@ class Simulation:
             body = scene.body
             crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
             penetration = max(0.0, -float(body.signed_distance(x).min()))
-        costs = term_costs(self._x, self._v, self._terms, self._contact_settings, self._contacts, self._dt)
+        missed = missed_effects(scene, model, x, self._v, self.positions)
+        warnings += missed.values()
         if rest_reason is None:
             rest_reason = "at rest" if self.settled else f"{self.phase}"
         return Report(
@@ -452,15 +474,7 @@ class Simulation:
             particles=model.particle_count,
             triangles=len(model.triangles),
             springs=len(model.springs),
-            terms={
-                t.name: {
-                    "active": t.active,
-                    "reason": t.reason,
-                    "elements": t.elements,
-                    "microseconds_per_step": costs.get(t.name) if t.active else 0.0,
-                }
-                for t in model.terms
-            },
+            terms=self._term_facts(missed),
             time_step=self._dt,
             stable_time_step=self._stable.time_step,
             steps=self.steps,
@@ -479,12 +493,25 @@ class Simulation:
             max_penetration=penetration,
             contact_searches=self._searches,
             expected_error=scene.settings.expected_error,
-            expected_error_source=EXPECTED_ERROR_SOURCE
-            if scene.settings.expected_error is not None
-            else "not measured",
+            expected_error_source=scene.settings.expected_error_source,
             warnings=tuple(dict.fromkeys(warnings)),
             state_sha256=self.state_hash(),
         )
+
+    def _term_facts(self, missed: dict[str, str]) -> dict[str, dict[str, Any]]:
+        """Each term with why it is on or off, and what it takes at the present state."""
+        costs = term_costs(self._x, self._v, self._terms, self._contact_settings, self._contacts, self._dt)
+        shares = term_shares(self.model.terms, costs)
+        return {
+            t.name: {
+                "active": t.active,
+                "reason": t.reason,
+                "elements": t.elements,
+                **shares[t.name],
+                "missed": missed.get(t.name),
+            }
+            for t in self.model.terms
+        }
 
     def state_hash(self) -> str:
         """SHA-256 of positions and velocities, little-endian float64."""
@@ -492,14 +519,17 @@ class Simulation:
         return hashlib.sha256(data.tobytes()).hexdigest()
 
     def describe(self) -> dict[str, Any]:
-        """Terms with their reasons, counts and the stable time step, as JSON types; nothing is run."""
+        """Terms with reasons and measured shares, counts and the stable time step, as JSON types; nothing is run."""
         model = self.model
         limit = self._stable
+        missed = missed_effects(self.scene, model, self._x, self._v, self.positions)
         return {
             "garment": self.scene.garment.name,
             "body": self.scene.body.name if self.scene.body is not None else None,
             "fabric": self.scene.fabric.name,
             "spacing": self.scene.settings.spacing,
+            "expected_error": self.scene.settings.expected_error,
+            "expected_error_source": self.scene.settings.expected_error_source,
             "particles": model.particle_count,
             "triangles": len(model.triangles),
             "springs": len(model.springs),
@@ -507,12 +537,12 @@ class Simulation:
             "seams": len(self.scene.garment.seams),
             "area": float(self.scene.garment.areas.sum()),
             "mass": float(model.mass.sum()),
-            "terms": {t.name: {"active": t.active, "reason": t.reason, "elements": t.elements} for t in model.terms},
+            "terms": self._term_facts(missed),
             "time_step": self._dt,
             "stable_time_step": limit.time_step if math.isfinite(limit.time_step) else None,
             "largest_frequency": limit.largest_frequency,
             "damping_ratio": limit.damping_ratio if math.isfinite(limit.damping_ratio) else None,
             "phase": self.phase,
             "simulated_time": self.time,
-            "warnings": list(self.scene.warnings),
+            "warnings": [*self.scene.warnings, *missed.values()],
         }

@@ -271,7 +271,7 @@ def _together() -> list[StabilityCase]:
         *(
             (f"{name}, flat", lambda name=name: flat(Fabric.preset(name)))
             for name in ("silk", "cotton_poplin", "denim", "leather")
-        ),  # type: ignore[misc]  # noqa: E501
+        ),  # type: ignore[misc]
         ("cotton poplin, hung at two corners", hung),
         ("cotton poplin on a table, no friction", lambda: on_a_table(0.0)),
         ("cotton poplin draped over a block", lambda: over_an_edge(0.35)),

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 from cloth_core.kernel import kernel
 from cloth_core.springs import SpringFamily, Springs
 
-__all__ = ["StrainLimit", "build_strain_limit", "hold_strain", "repeat_strain_impulses", "watch_strain"]
+__all__ = [
+    "StrainLimit",
+    "build_strain_limit",
+    "hold_strain",
+    "no_strain_limit",
+    "repeat_strain_impulses",
+    "watch_strain",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -58,6 +65,12 @@ def build_strain_limit(springs: Springs, limit: float) -> StrainLimit:
         watched=np.zeros(len(springs), dtype=np.int32),
         watched_count=np.zeros(1, dtype=np.int32),
     )
+
+
+def no_strain_limit() -> StrainLimit:
+    """No spring has one: nothing to watch and nothing to hold."""
+    none = np.zeros(0)
+    return StrainLimit(none, none, none.copy(), np.zeros(0, dtype=np.int32), np.zeros(1, dtype=np.int32))
 
 
 @kernel

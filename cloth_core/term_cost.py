@@ -14,7 +14,7 @@ from cloth_core.contact import ContactSettings, ContactState, resolve_contacts
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.sewing import seam_forces
 from cloth_core.springs import spring_forces
-from cloth_core.step import ForceTerms, Workspace, total_force
+from cloth_core.step import ForceTerms, Workspace, run_steps, total_force
 from cloth_core.strain_limit import hold_strain
 
 __all__ = ["term_costs"]
@@ -27,7 +27,7 @@ _REPEATS = 20
 def term_costs(
     x: Floats, v: Floats, terms: ForceTerms, contact: ContactSettings, contacts: ContactState, dt: float
 ) -> dict[str, float]:
-    """Median microseconds that one step of each term takes, on copies of the state x, v (n, 3).
+    """Median microseconds that one step of each term takes, on copies of the state x, v (n, 3); "step": all of it.
 
     The structural, shear and bending springs run in one loop; its time is shared out by their number elsewhere.
     """
@@ -35,6 +35,7 @@ def term_costs(
     total_force(x, v, terms, 0.0, work)  # fills the copies that the terms work on
     # Contacts and strain limit remember impulses; measuring must not touch those of the run.
     limit, contacts = deepcopy((terms.strain_limit, contacts))
+    whole, held = terms._replace(strain_limit=deepcopy(limit)), deepcopy(contacts)
     measured: dict[str, Callable[[], object]] = {
         "gravity": lambda: gravity_forces(terms.mass, terms.gravity, work.force),
         "air drag": lambda: air_drag_forces(work.v, terms.mass, terms.air_drag, work.force),
@@ -52,6 +53,8 @@ def term_costs(
     if contact.active:
         moved, xc, vc = np.zeros(len(x)), x.copy(), v.copy()
         measured["body contact"] = lambda: resolve_contacts(xc, vc, terms.inverse_mass, contacts, contact, dt, moved)
+    xw, vw, room, way = x.copy(), v.copy(), Workspace.of(len(x)), np.zeros(len(x))
+    measured["step"] = lambda: run_steps(xw, vw, room, way, whole, contact, held, dt, 1, 0.0, 0.0)
     return {name: _median_microseconds(run) for name, run in measured.items()}
 
 

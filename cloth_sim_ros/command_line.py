@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cloth_core.pattern import Pattern
     from cloth_core.report import Report
     from cloth_core.simulation import Simulation
+    from cloth_sim_ros.log_writer import LogError
     from cloth_sim_ros.run_recorder import RunRecorder
 
 __all__ = ["main"]
@@ -74,6 +75,13 @@ def _scene_options(command: Command) -> Command:
             help="Air drag k_a: deceleration per velocity.",
         ),
         click.option(
+            "--without",
+            multiple=True,
+            metavar="TERM",
+            help="Switches a term off by hand, for example 'self contact'; the report says what the run then lacks. "
+            "May be given several times.",
+        ),
+        click.option(
             "--max-time",
             type=Quantity("s", above=True),
             help="Simulated time after which a run is given up that has not come to rest.  [default: 20]",
@@ -106,6 +114,11 @@ def cli() -> None:
 @click.option("--picture", type=OutputFile([".png"]), help="Front and back view (PNG).")
 @click.option("--size", type=PictureSize(), default="1600x1000", show_default=True, help="Of the picture, in pixels.")
 @click.option("--report", type=OutputFile([".json"]), help="Numbers of the run (JSON, SI units).")
+@click.option(
+    "--gate",
+    is_flag=True,
+    help="Judges the result: nothing through body or cloth, static, in time. Exit code 1 if it fails.",
+)
 def drape(
     patterns: tuple[str, ...],
     output: Path | None,
@@ -113,12 +126,13 @@ def drape(
     picture: Path | None,
     size: tuple[int, int],
     report: Path | None,
+    gate: bool,
     **scene_options: Any,
 ) -> None:
     """Sews PATTERN together around the body and lets it come to rest.
 
     PATTERN is a GarmentCode pattern (JSON file) or a built-in one: tshirt, skirt, trousers, dress, rectangle. Several
-    become one scene. Ctrl-C stops the run and writes what there is.
+    are worn over each other, the innermost first. Ctrl-C stops the run and writes what there is.
     """
     from cloth_sim_ros.run_tables import print_report
 
@@ -129,14 +143,19 @@ def drape(
         try:
             recorder = _recorder(record, loaded, simulation, parameters)
             with Interruption() as interruption:
-                result = _settle(simulation, recorder, display, interruption)
+                result, lost = _settle(simulation, recorder, display, interruption, gate=gate)
                 _write_results(simulation, result, display, output=output, picture=picture, size=size, report=report)
         except ClothError as error:
             raise FailedRun(str(error)) from error
     _warn(result.warnings)
     print_report(result)
     for path in outputs:
-        click.echo(f"wrote {path}")
+        if path != record or lost is None:
+            click.echo(f"wrote {path}")
+    if lost is not None:
+        raise FailedRun(f"recording stopped: {lost}")
+    if result.gate is not None and not result.gate["passed"]:
+        raise FailedRun(f"{result.garment}: the gate is not passed: {'; '.join(result.gate['failed'])}")
     if result.open_seams:
         gaps = ", ".join(f"{name} ({1000 * gap:.1f} mm)" for name, gap in result.open_seams.items())
         raise FailedRun(f"seams still open: {gaps}; check that the panels can reach each other around the body")
@@ -218,6 +237,83 @@ def play(log: str, rate: float, loop: bool) -> None:
         play_log(log, rate=rate, loop=loop, progress=functools.partial(display.share, "{done} s of {total} s played"))
 
 
+@cli.command()
+@click.argument("log", metavar="RUN.mcap")
+@click.option("--verify", is_flag=True, help="Checks each byte of the log and compares all frames and reports with it.")
+def replay(log: str, verify: bool) -> None:
+    """Simulates the runs of the log RUN.mcap again, from what is in the log alone.
+
+    Exit code with --verify. 0: each frame and report is identical, bit by bit. 1: one is not; the error says which
+    frame and particle differ first. 2: the log is damaged; the error says where.
+    """
+    from cloth_sim_ros.replay import ReplayDifference, replay_log, verify_log
+    from cloth_sim_ros.run_tables import print_report
+
+    with ProgressDisplay() as display:
+        display.step(f"simulating {log} again")
+
+        def on_tick(simulation: Simulation) -> None:
+            display.show(simulation.progress)
+
+        if not verify:
+            reports = replay_log(log, on_tick)
+        else:
+            try:
+                found = verify_log(log, on_tick)
+            except ReplayDifference as error:
+                raise FailedRun(str(error)) from None
+    if not verify:
+        for report in reports:
+            print_report(report)
+        return
+    click.echo(
+        f"{log}: identical: {found.frames} frames with {found.particles} positions and {found.reports} reports of "
+        f"{found.runs} run{'s' * (found.runs > 1)}, {found.simulated_time:.3f} s simulated"
+        f"{f', state_sha256 {found.state_sha256}' if found.state_sha256 else ''}"
+    )
+
+
+@cli.command()
+@click.argument("broken", metavar="BROKEN.mcap")
+@click.option("--output", "-o", type=OutputFile([".mcap"]), required=True, help="The log that is made of it.")
+def recover(broken: str, output: Path) -> None:
+    """Saves all whole chunks of BROKEN.mcap, the log of a process that was killed: all but its last second at most.
+
+    BROKEN.mcap is only read.
+    """
+    from cloth_sim_ros.log_repair import recover_log
+
+    _check_inputs_are_kept((broken,), (output,))
+    found = recover_log(broken, output)
+    state = "it was whole" if found.was_whole else f"{found.lost_bytes} bytes behind or between them are lost"
+    click.echo(f"wrote {output}: {found.messages} messages of {found.duration:.3f} s in {found.chunks} chunks; {state}")
+
+
+@cli.command()
+@_scene_options
+@click.option("--output", "-o", metavar="DIR", required=True, help="Directory of the results; a rerun goes on in it.")
+@click.option(
+    "--spacings",
+    metavar="MM,MM,...",
+    help="Particle spacings to try, at least three; the finest is the reference.  [default: 40,30,25,20,15,12.5,10]",
+)
+@click.option(
+    "--vary",
+    metavar="NAME,...",
+    help="Settings to vary besides the spacing: safety, contact, push, rest, drag; 'none' for none.  [default: all]",
+)
+@click.option("--processes", type=click.IntRange(1, 1024), help="Runs at once.  [default: one for each core]")
+def tradeoff(patterns: tuple[str, ...], **options: Any) -> None:
+    """Measures cost against error over settings for PATTERN, and says which is the cheapest that is good enough.
+
+    Writes tradeoff.json, tradeoff.md and (with matplotlib) tradeoff.png. Can be stopped with Ctrl-C at any time and
+    goes on with the same command. --tolerance is the error that the advice is for.
+    """
+    from cloth_sim_ros.tradeoff_command import run_tradeoff
+
+    run_tradeoff(patterns, **options)
+
+
 cli.add_command(stability)
 
 
@@ -243,6 +339,7 @@ def _prepare(
     gravity: float,
     air_drag: float,
     max_time: float | None,
+    without: tuple[str, ...],
 ) -> tuple[list[Pattern], Simulation, dict[str, object]]:
     """The patterns, a simulation of their scene, and the parameters that repeat it."""
     if quality is not None and tolerance is not None:
@@ -254,21 +351,24 @@ def _prepare(
     from cloth_core.fabric import Fabric
     from cloth_core.pattern import Pattern
     from cloth_core.scene import Scene
-    from cloth_core.simulation import Simulation
     from cloth_sim_ros.scene_inputs import SceneParameters
+    from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 
     parameters = SceneParameters(
         fabric=fabric, quality=quality or "normal", tolerance=tolerance or 0.0, gravity=gravity, air_drag=air_drag
     )
-    settings = parameters.settings()
-    if max_time is not None:
-        settings = replace(settings, max_time=max_time)
     chosen_fabric = Fabric.preset(fabric)
     patterns = [Pattern.load(name) for name in names]
+    settings = parameters.settings(*patterns)
+    if max_time is not None:
+        settings = replace(settings, max_time=max_time)
     chosen_body = None if body is None else Body.load(body)
     display.step("preparing the scene (the first run after an installation compiles, which takes longer)")
-    scene = Scene.build(patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag)
-    return patterns, Simulation(scene), {**parameters.to_dict(), "settings": asdict(settings)}
+    scene = Scene.build(
+        patterns, chosen_body, chosen_fabric, settings=settings, gravity=gravity, air_drag=air_drag, without=without
+    )
+    values = {**parameters.to_dict(), "settings": asdict(settings), "without": without}
+    return patterns, ScheduledSimulation(scene), values
 
 
 def _recorder(
@@ -277,35 +377,81 @@ def _recorder(
     """A new log in place of the one that may lie there."""
     if path is None:
         return None
+    from cloth_sim_ros.log_writer import is_being_written
     from cloth_sim_ros.run_recorder import RunRecorder
 
+    if is_being_written(path):
+        raise ClothError(f"log {path}: another process is recording into it; choose another name")
     path.unlink(missing_ok=True)
-    return RunRecorder(path, [pattern.source for pattern in patterns], simulation.scene.body, parameters)
+    scene = simulation.scene
+    texts = [pattern.source for pattern in patterns]
+    return RunRecorder(path, texts, scene.body, parameters, patterns=patterns, scene=scene)
 
 
 def _settle(
-    simulation: Simulation, recorder: RunRecorder | None, display: ProgressDisplay, interruption: Interruption
-) -> Report:
-    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile."""
+    simulation: Simulation,
+    recorder: RunRecorder | None,
+    display: ProgressDisplay,
+    interruption: Interruption,
+    *,
+    gate: bool,
+) -> tuple[Report, LogError | None]:
+    """Runs to rest, to the longest time or to Ctrl-C, and records meanwhile; judges the result if asked to.
+
+    The second value is what ended the recording early, if anything did.
+    """
+    from cloth_sim_ros.log_writer import LogError
+
+    lost: LogError | None = None
+
+    def record(write: Callable[[RunRecorder], None]) -> None:
+        nonlocal lost
+        if recorder is None or lost is not None:
+            return
+        try:
+            write(recorder)
+        except LogError as error:  # a full disk is no reason to lose the drape too
+            lost = error
+            _warn([f"recording stopped: {error}"])
 
     def on_tick(simulation: Simulation) -> bool:
-        if recorder is not None:
-            recorder.follow(simulation)
+        record(lambda recorder: recorder.follow(simulation))
         display.show(simulation.progress)
         return interruption.asked
 
     display.step("sewing and draping")
     try:
-        if recorder is not None:
-            recorder.follow(simulation)
-        result = simulation.settle(on_tick)
+        record(lambda recorder: recorder.follow(simulation))
+        failure = None
+        try:
+            result = simulation.settle(on_tick)
+        except SimulationError as error:
+            if not gate:
+                raise
+            failure = str(error)
+            result = simulation.report(f"failed: {failure}")
         display.step("measuring the result")
-        if recorder is not None:
-            recorder.finish(simulation, result)
+        if gate:
+            result = _judged(simulation, result, failure)
+        record(lambda recorder: recorder.finish(simulation, result))
     finally:
-        if recorder is not None:
-            recorder.close()
-    return result
+        record(lambda recorder: recorder.close())
+    return result, lost
+
+
+def _judged(simulation: Simulation, result: Report, failure: str | None) -> Report:
+    """The report with the gate's verdict."""
+    from dataclasses import replace
+
+    from cloth_core.gate import frame_movement, judge
+
+    movement = None
+    if failure is None:
+        try:
+            movement = frame_movement(simulation)
+        except SimulationError as error:
+            failure = str(error)
+    return replace(result, gate=judge(result, movement, failure))
 
 
 def _write_results(
@@ -344,10 +490,9 @@ def _write_results(
 def _explanation(simulation: Simulation) -> dict[str, Any]:
     """`Simulation.describe` and the cost of a step, measured on copies of the start."""
     facts = simulation.describe()
-    terms = simulation.report().terms
-    per_step = 1e-6 * sum(term["microseconds_per_step"] or 0.0 for term in terms.values())
+    per_step = 1e-6 * sum(term["microseconds_per_step"] or 0.0 for term in facts["terms"].values())
     per_second = per_step / facts["time_step"]
-    return {**facts, "terms": terms, "seconds_per_step": per_step, "seconds_per_simulated_second": per_second}
+    return {**facts, "seconds_per_step": per_step, "seconds_per_simulated_second": per_second}
 
 
 def _warn(lines: Iterable[str]) -> None:

@@ -94,7 +94,7 @@ class LogReader:
         except (*DAMAGE, OSError):
             summary = None
         if summary is None:
-            raise LogError(f"log {self.path}: it was cut off and has no end; record the run again")
+            raise LogError(f"log {self.path}: it was cut off and has no end; run `cloth-sim recover` on it")
         return summary
 
     def count(self, topic: Topic) -> int:

@@ -1,7 +1,9 @@
 """Writes MCAP logs with the `ros2` profile, which `ros2 bag`, Foxglove and other readers open as they are."""
 
 import errno
+import fcntl
 import os
+import threading
 from pathlib import Path
 from types import TracebackType
 
@@ -12,38 +14,60 @@ from cloth_sim_ros.log_repair import end_log
 from cloth_sim_ros.messages import message_definition
 from cloth_sim_ros.topics import DEFAULT_NODE_NAME, Topic
 
-__all__ = ["LogError", "LogWriter"]
+__all__ = ["LogError", "LogExistsError", "LogWriter", "is_being_written"]
 
 CHUNK_SIZE = 1024 * 1024
-"""Bytes of messages that are compressed together, and the most that a killed process loses."""
+"""Bytes of messages that are compressed together."""
+FLUSH_INTERVAL = 0.5
+"""Wall-clock time after which a chunk is written, however small it is [s]: what a killed process loses at most."""
 
 
 class LogError(ClothError):
     """A log cannot be written or read."""
 
 
+class LogExistsError(LogError):
+    """A file of that name is there already."""
+
+
+def is_being_written(path: str | os.PathLike[str]) -> bool:
+    """Whether a `LogWriter` of this machine, in whichever process, has the file open."""
+    try:
+        with open(path, "rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # there is none, or its file system knows no locks
+        return False
+    return False
+
+
 class LogWriter:
     """A new MCAP log: zstd chunks with checksums, message indexes, statistics, and the QoS of every topic.
 
-    Whatever happens, the file ends as a log that readers open: if writing fails, it is cut behind its last whole chunk.
+    If writing fails, the file is cut behind its last whole chunk and still ends as a log that readers open. If the
+    process is killed, `log_repair` saves all but the last half second. Any thread may call.
 
     Args:
         path: file to be created
         node_name: fully qualified name of the node below which the topics lie
 
     Raises:
-        LogError: the file exists already or cannot be created.
+        LogExistsError: the file exists already, whoever made it and however shortly before.
+        LogError: it cannot be created.
     """
 
     def __init__(self, path: str | os.PathLike[str], node_name: str = DEFAULT_NODE_NAME) -> None:
         self.path = Path(path)
+        self._lock = threading.RLock()
+        self._failure: LogError | None = None
         self._node_name = node_name
         self._channels: dict[Topic, int] = {}
         self._schemas: dict[str, int] = {}
         try:
             self._stream = _UnbufferedFile(self.path)
         except FileExistsError:
-            raise LogError(f"log {self.path}: the file exists; choose another name or remove it") from None
+            raise LogExistsError(f"log {self.path}: the file exists; choose another name or remove it") from None
         except OSError as error:
             raise LogError(f"log {self.path}: {error.strerror}; choose a directory that can be written") from None
         self._writer: Writer | None = Writer(
@@ -52,11 +76,14 @@ class LogWriter:
             compression=CompressionType.ZSTD,
             index_types=IndexType.ALL,
             enable_crcs=True,
+            enable_data_crcs=True,
         )
         try:
             self._writer.start(profile="ros2", library="cloth_sim_ros")
         except OSError as error:
             raise self._broken(error) from None
+        self._ended = threading.Event()
+        threading.Thread(target=self._flush_regularly, name="cloth_sim log", daemon=True).start()
 
     @property
     def closed(self) -> bool:
@@ -67,18 +94,39 @@ class LogWriter:
         """Appends a CDR message at `log_time` [ns since 1970].
 
         Raises:
-            LogError: the log is closed, or the bytes cannot be written; the log has been closed then.
+            LogError: the log is closed, or bytes could not be written, now or since the last call; the log has been
+                closed then.
         """
-        if self._writer is None:
-            raise LogError(f"log {self.path}: it is closed; start another one")
-        try:
-            if topic not in self._channels:
-                self._channels[topic] = self._register(self._writer, topic)
-            self._writer.add_message(
-                channel_id=self._channels[topic], log_time=log_time, publish_time=log_time, data=data
-            )
-        except OSError as error:
-            raise self._broken(error) from None
+        with self._lock:
+            self._raise_failure()
+            if self._writer is None:
+                raise LogError(f"log {self.path}: it is closed; start another one")
+            try:
+                if topic not in self._channels:
+                    self._channels[topic] = self._register(self._writer, topic)
+                self._writer.add_message(
+                    channel_id=self._channels[topic], log_time=log_time, publish_time=log_time, data=data
+                )
+            except OSError as error:
+                raise self._broken(error) from None
+
+    def _flush_regularly(self) -> None:
+        """In a thread of its own, since nobody may write for a long time after a message that is worth keeping."""
+        while not self._ended.wait(FLUSH_INTERVAL):
+            with self._lock:
+                if self._writer is None:
+                    return
+                try:
+                    self._writer.flush()
+                except OSError as error:
+                    self._failure = self._broken(error)
+                    return
+
+    def _raise_failure(self) -> None:
+        """Raises, once, what went wrong in the other thread."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
 
     def _register(self, writer: Writer, topic: Topic) -> int:
         if topic.message_type not in self._schemas:
@@ -97,15 +145,18 @@ class LogWriter:
         Raises:
             LogError: the last messages could not be written, or the file has been removed meanwhile.
         """
-        if self._writer is None:
-            return
-        try:
-            self._writer.finish()
-            self._stream.close()
-        except OSError as error:
-            raise self._broken(error) from None
-        finally:
-            self._writer = None
+        self._ended.set()
+        with self._lock:
+            self._raise_failure()
+            if self._writer is None:
+                return
+            try:
+                self._writer.finish()
+                self._stream.close()
+            except OSError as error:
+                raise self._broken(error) from None
+            finally:
+                self._writer = None
 
     def _broken(self, error: OSError) -> LogError:
         """Closes the log behind its last whole chunk and says why."""
@@ -134,6 +185,10 @@ class _UnbufferedFile:
 
     def __init__(self, path: Path) -> None:
         self.file = open(path, "xb+", buffering=0)
+        try:
+            fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pass  # a file system without locks; creation was exclusive all the same
 
     def write(self, data: bytes) -> None:
         missing = memoryview(data)
@@ -151,7 +206,7 @@ class _UnbufferedFile:
         return self.file.tell()
 
     def flush(self) -> None:
-        self.file.flush()
+        """Nothing is kept back."""
 
     def close(self) -> None:
         self.file.close()

@@ -117,7 +117,8 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
     """Vertices [m], (n, 3), and triangles, (m, 3), of a `shape_msgs/Mesh`; no value is changed.
 
     Raises:
-        BodyError: counts that the bytes do not hold, more than `max_triangles`, or an index without a vertex.
+        BodyError: counts that the bytes do not hold, more than `max_triangles` or than the vertices of so many, or an
+            index without a vertex. The counts are checked before memory is taken.
     """
     try:
         reader = CdrReader(data, "body message")
@@ -128,12 +129,17 @@ def decode_mesh(data: bytes, max_triangles: int | None = None) -> tuple[FloatArr
                 "send a coarser mesh or raise the parameter"
             )
         indices = reader.array("<u4", 3 * triangle_count, f"triangles[{triangle_count}]")
-        triangles = indices.astype(np.int64).reshape(-1, 3)
+        triangles: npt.NDArray[np.uint32] = indices.astype(np.uint32, copy=False).reshape(-1, 3)
         vertex_count = reader.uint32("count of vertices")
         vertices = reader.array("<f8", 3 * vertex_count, f"vertices[{vertex_count}]").reshape(-1, 3)
         reader.end()
     except CdrError as error:
         raise BodyError(str(error)) from None
+    if max_triangles is not None and vertex_count > 3 * max_triangles:
+        raise BodyError(
+            f"body message: {vertex_count} vertices are more than max_triangles = {max_triangles} can have; "
+            "leave out the unused ones or raise the parameter"
+        )
     outside = (triangles >= vertex_count).any(axis=1)
     if outside.any():
         worst = int(outside.argmax())

@@ -36,6 +36,7 @@ class Outlet:
         self._node_name = node_name
         self._lock = threading.Lock()
         self._log: LogWriter | None = None
+        self._log_failure = ""
         self._latched: dict[Topic, bytes] = {}
         self._last_stamp = 0
 
@@ -45,6 +46,11 @@ class Outlet:
         log = self._log
         return None if log is None else log.path
 
+    @property
+    def log_failure(self) -> str:
+        """Why the last log ended by itself, in one line; empty if it did not, or once another one has been started."""
+        return self._log_failure
+
     def next_start(self) -> int:
         """Stamp [ns since 1970] at which another run can start: now, but after all that has been sent."""
         return max(time.time_ns(), self._last_stamp + 1)
@@ -53,21 +59,23 @@ class Outlet:
         """Whether a frame sent now would be recorded or reach anybody."""
         return self._log is not None or self._listener.wants_frames()
 
-    def send(self, topic: Topic, data: bytes, stamp: int | None = None) -> None:
+    def send(self, topic: Topic, data: bytes, stamp: int | None = None, latched: bytes | None = None) -> None:
         """Sends at a time of the run [ns since 1970], by default that of the message before.
 
-        A log that cannot be written ends with one warning; sending goes on.
+        A log that cannot be written ends with one warning; sending goes on. A log that starts later begins with
+        `latched` instead of `data`, if it is given.
         """
         with self._lock:
             self._last_stamp = stamp or self._last_stamp or time.time_ns()
             if topic.qos.latched:
-                self._latched[topic] = data
+                self._latched[topic] = data if latched is None else latched
             if self._log is not None:
                 try:
                     self._log.write(topic, self._last_stamp, data)
                 except LogError as error:
                     self._log = None
-                    self._listener.warn(str(error))
+                    self._log_failure = f"recording stopped: {error}"
+                    self._listener.warn(self._log_failure)
         self._listener.send(topic, data)
 
     def forget(self, topic: Topic) -> None:
@@ -88,7 +96,7 @@ class Outlet:
             for topic, data in self._latched.items():
                 if topic != GARMENT:
                     log.write(topic, self._last_stamp, data)
-            self._log = log
+            self._log, self._log_failure = log, ""
 
     def stop_log(self) -> Path:
         """Ends the log; it is complete on return.
@@ -99,6 +107,6 @@ class Outlet:
         with self._lock:
             log, self._log = self._log, None
             if log is None:
-                raise LogError("record: nothing is being recorded; start a recording first")
+                raise LogError(f"record: nothing is being recorded; {self._log_failure or 'start a recording first'}")
             log.close()
             return log.path

@@ -10,13 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from cloth_core.body import Body
+from cloth_core.pattern import Pattern
 from cloth_core.report import Report
+from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
 from cloth_sim_ros.diagnostics import run_status
 from cloth_sim_ros.log_writer import LogWriter
 from cloth_sim_ros.messages import Level, encode_diagnostics, encode_mesh, encode_string
+from cloth_sim_ros.run_identity import run_identity
 from cloth_sim_ros.run_messages import RunMessages
-from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PARAMETERS, PATTERN, REPORT
+from cloth_sim_ros.scheduled_simulation import Motion, schedule_change
+from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE
 
 __all__ = ["RunRecorder"]
 
@@ -33,8 +37,10 @@ class RunRecorder:
         path: file to be created
         pattern_texts: JSON of each pattern, as it was read
         body: None if the garment falls freely
-        parameters: what else it takes to repeat the run; values that JSON can hold
+        parameters: of the run; values that JSON can hold
         frame_id: coordinate frame of everything
+        patterns, scene: what the texts were read into, and what was built of them; without them the log cannot be
+            simulated again
 
     Raises:
         LogError: here and in every method, if the log cannot be created or written.
@@ -47,11 +53,17 @@ class RunRecorder:
         body: Body | None,
         parameters: Mapping[str, object],
         frame_id: str = "map",
+        *,
+        patterns: Sequence[Pattern] = (),
+        scene: Scene | None = None,
     ) -> None:
         start = time.time_ns()
+        if scene is not None:
+            parameters = {**parameters, "replay": run_identity(scene, patterns, body, None, start)}
         self._messages = RunMessages(start, frame_id)
         self._last_frame_time = float("-inf")
         self._next_diagnostics = float("-inf")
+        self._schedule: tuple[Motion, ...] = ()
         self._log = LogWriter(path)
         for text in pattern_texts:
             self._log.write(PATTERN, start, encode_string(text))
@@ -73,6 +85,7 @@ class RunRecorder:
 
         To be called after each tick, for example as `on_tick` of `Simulation.settle`, and before the first.
         """
+        self._follow_schedule(simulation)
         if simulation.time - self._last_frame_time >= 1.0 / FRAME_RATE:
             self.frame(simulation.time, simulation.positions, simulation.triangles)
         now = time.monotonic()
@@ -82,10 +95,19 @@ class RunRecorder:
 
     def finish(self, simulation: Simulation, report: Report) -> None:
         """Adds the last frame, unless it is there already, the last diagnostics and the report."""
+        self._follow_schedule(simulation)
         if simulation.time > self._last_frame_time:
             self.frame(simulation.time, simulation.positions, simulation.triangles)
         self._diagnostics(simulation)
         self._log.write(REPORT, self._messages.stamp(simulation.time), encode_string(report.to_json()))
+
+    def _follow_schedule(self, simulation: Simulation) -> None:
+        """Adds how the simulation was moved, if it says so and that has changed."""
+        schedule = getattr(simulation, "schedule", self._schedule)
+        if schedule != self._schedule:
+            change = schedule_change(self._schedule, schedule)
+            self._schedule = schedule
+            self._log.write(SCHEDULE, self._messages.stamp(simulation.time), encode_string(json.dumps(change)))
 
     def _diagnostics(self, simulation: Simulation) -> None:
         progress = simulation.progress

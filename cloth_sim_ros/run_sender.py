@@ -6,10 +6,12 @@ from dataclasses import asdict
 from cloth_core.report import Report
 from cloth_sim_ros.messages import encode_string
 from cloth_sim_ros.outlet import Outlet
+from cloth_sim_ros.run_identity import run_identity
 from cloth_sim_ros.run_messages import RunMessages
 from cloth_sim_ros.scene_builder import Run
 from cloth_sim_ros.scene_inputs import SceneInputs
-from cloth_sim_ros.topics import BODY, BODY_MARKER, GARMENT, PARAMETERS, PATTERN, REPORT
+from cloth_sim_ros.scheduled_simulation import Motion, schedule_change
+from cloth_sim_ros.topics import BODY, BODY_MARKER, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE
 
 __all__ = ["RunSender"]
 
@@ -33,6 +35,7 @@ class RunSender:
             body_color=parameters.body_color,
         )
         self._sent_time: float | None = None
+        self._sent_schedule: tuple[Motion, ...] | None = None
 
     def body(self) -> None:
         """Sends the body and its marker, if there is one."""
@@ -46,7 +49,18 @@ class RunSender:
         """Sends all that a late joiner or a log needs to know of a run, and its first frame."""
         assert self._inputs.pattern is not None
         start = self._messages.start
-        parameters = {**self._inputs.parameters.to_dict(), "settings": asdict(run.scene.settings)}
+        body = self._inputs.body
+        parameters = {
+            **self._inputs.parameters.to_dict(),
+            "settings": asdict(run.scene.settings),
+            "replay": run_identity(
+                run.scene,
+                [self._inputs.pattern],
+                None if body is None else body.body,
+                None if body is None else body.message,
+                start,
+            ),
+        }
         self._outlet.forget(REPORT)
         self._outlet.send(PATTERN, encode_string(self._inputs.pattern.source), start)
         self._outlet.send(PARAMETERS, encode_string(json.dumps(parameters, sort_keys=True)), start)
@@ -60,10 +74,21 @@ class RunSender:
     def frame(self, run: Run) -> None:
         """Sends the garment as it is."""
         simulation = run.simulation
+        self._schedule(run)
         self._sent_time = simulation.time
         data = self._messages.garment(simulation.time, simulation.positions, simulation.triangles)
         self._outlet.send(GARMENT, data, self._messages.stamp(simulation.time))
 
     def report(self, run: Run, report: Report) -> None:
         """Sends a report of the garment as it is."""
+        self._schedule(run)
         self._outlet.send(REPORT, encode_string(report.to_json()), self._messages.stamp(run.simulation.time))
+
+    def _schedule(self, run: Run) -> None:
+        """Sends how the run was moved, if that has changed, ahead of what came of it."""
+        schedule, sent = run.simulation.schedule, self._sent_schedule
+        if schedule == sent:
+            return
+        self._sent_schedule = schedule
+        change, whole = (encode_string(json.dumps(schedule_change(before, schedule))) for before in ((sent or ()), ()))
+        self._outlet.send(SCHEDULE, change, self._messages.stamp(run.simulation.time), latched=whole)

@@ -10,8 +10,8 @@ from typing import Any
 from cloth_core.errors import ClothError
 from cloth_core.report import Report
 from cloth_core.scene import Scene
-from cloth_core.simulation import Simulation
 from cloth_sim_ros.scene_inputs import Limits, SceneInputs, SceneParameters, build_scene
+from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 
 __all__ = ["Change", "Run", "SceneBuilder"]
 
@@ -25,7 +25,7 @@ class Run:
 
     inputs: SceneInputs
     scene: Scene
-    simulation: Simulation
+    simulation: ScheduledSimulation
     description: dict[str, Any]
     """`Simulation.describe` at the start, which other threads can read while it runs."""
     report: Report | None = None
@@ -129,7 +129,7 @@ class SceneBuilder:
         else:
             scene = build_scene(inputs, self.limits)
         self.limits.check_particles(scene.garment.particle_count)
-        simulation = Simulation(scene)
+        simulation = ScheduledSimulation(scene)
         return Run(inputs, scene, simulation, simulation.describe())
 
 

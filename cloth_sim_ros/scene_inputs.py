@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cloth_core.body import Body
+from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
 from cloth_core.pattern import Pattern
@@ -37,13 +38,14 @@ class SceneParameters:
         """Values that JSON can hold."""
         return asdict(self)
 
-    def settings(self) -> Settings:
-        """Numerical settings that quality and tolerance stand for.
+    def settings(self, *patterns: Pattern) -> Settings:
+        """Numerical settings that quality and tolerance stand for, for these patterns in the fabric.
 
         Raises:
-            SceneError: unknown quality, or a tolerance that is not positive.
+            ClothError: unknown quality or fabric, or a tolerance that is not positive.
         """
-        return settings_for(self.quality, self.tolerance / 1000.0 if self.tolerance > 0.0 else None)
+        cloth = Cloth.of(sum(p.area for p in patterns), Fabric.preset(self.fabric)) if patterns else None
+        return settings_for(self.quality, self.tolerance / 1000.0 if self.tolerance > 0.0 else None, cloth)
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,9 @@ def build_scene(inputs: SceneInputs, limits: Limits) -> Scene:
     """
     assert inputs.pattern is not None
     parameters = inputs.parameters
-    settings = parameters.settings()
+    settings = parameters.settings(inputs.pattern)
     # The grid has one particle per cell, so the area alone tells a scene that is far too large before it is built.
-    area = sum(abs(panel.area) for panel in inputs.pattern.panels.values())
-    limits.check_particles(round(area / settings.spacing**2))
+    limits.check_particles(round(inputs.pattern.area / settings.spacing**2))
     body = None if inputs.body is None else inputs.body.body
     return Scene.build(
         inputs.pattern,

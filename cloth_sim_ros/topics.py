@@ -12,6 +12,7 @@ __all__ = [
     "PARAMETERS",
     "PATTERN",
     "REPORT",
+    "SCHEDULE",
     "VOLATILE",
     "Qos",
     "Topic",
@@ -66,6 +67,9 @@ class Topic:
 PATTERN = Topic("pattern", "std_msgs/msg/String", LATCHED)
 BODY = Topic("body", "shape_msgs/msg/Mesh", LATCHED)
 PARAMETERS = Topic("parameters", "std_msgs/msg/String", LATCHED)
+"""In logs alone: with which values a run was made."""
+SCHEDULE = Topic("schedule", "std_msgs/msg/String", LATCHED)
+"""In logs alone: how a run was moved, for who repeats it."""
 GARMENT = Topic("garment", "visualization_msgs/msg/Marker", LATCHED)
 BODY_MARKER = Topic("body_marker", "visualization_msgs/msg/Marker", LATCHED)
 REPORT = Topic("report", "std_msgs/msg/String", LATCHED)

@@ -26,7 +26,7 @@ from cloth_sim_ros.diagnostics import run_status
 from cloth_sim_ros.log_writer import LogError
 from cloth_sim_ros.messages import Level, encode_diagnostics
 from cloth_sim_ros.outlet import Listener, Outlet
-from cloth_sim_ros.output_files import free_path
+from cloth_sim_ros.output_files import claim_path
 from cloth_sim_ros.run_sender import RunSender
 from cloth_sim_ros.scene_builder import Run, SceneBuilder
 from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters
@@ -182,12 +182,11 @@ class SimulationWorker:
         with self._wake:
             if self._run is None:
                 raise SceneError("save: there is no garment yet; publish a pattern first")
-            path = self._new_path((".glb", ".json"))
-            report_path, mesh_path = Path(f"{path}.json"), Path(f"{path}.glb")
             try:
-                report_path.touch(exist_ok=False)
+                path = self._claim((".json", ".glb"), lambda path: Path(f"{path}.json").touch(exist_ok=False))
             except OSError as error:
-                raise ClothError(f"save: {report_path}: {error.strerror}; set record_directory to another") from None
+                raise ClothError(f"save: {error.filename}: {error.strerror}; set record_directory to another") from None
+            report_path, mesh_path = Path(f"{path}.json"), Path(f"{path}.glb")
             self._add_task(lambda run: self._write_result(run, mesh_path, report_path))
         return f"saving {mesh_path} and {report_path}"
 
@@ -195,11 +194,10 @@ class SimulationWorker:
         """Starts or ends a log in the record directory."""
         if not on:
             return f"recorded {self._outlet.stop_log()}"
-        path = Path(f"{self._new_path(('.mcap',))}.mcap")
-        self._outlet.start_log(path)
+        path = self._claim((".mcap",), lambda path: self._outlet.start_log(f"{path}.mcap"))
         with self._wake:
             self._add_task(self._send_frame)
-        return f"recording {path}"
+        return f"recording {path}.mcap"
 
     def describe(self) -> dict[str, Any]:
         """State, scene with its terms and their reasons, progress and parameters, as values that JSON can hold."""
@@ -214,6 +212,7 @@ class SimulationWorker:
             "parameters": self._builder.parameters.to_dict(),
             "settings": asdict(self._settings),
             "recording": None if log_path is None else str(log_path),
+            "recording_failure": self._outlet.log_failure or None,
             "refused": self._refusal or None,
             "report": None if run is None or run.report is None else run.report.to_dict(),
         }
@@ -225,6 +224,8 @@ class SimulationWorker:
         level, message = Level.OK, state
         if self._refusal:
             level, message = Level.WARN, f"{state}; {self._refusal}"
+        if self._outlet.log_failure:
+            level, message = Level.WARN, f"{message}; {self._outlet.log_failure}"
         if self._failure:
             level, message = Level.ERROR, self._failure
         details: dict[str, object] = {"state": state}
@@ -289,11 +290,10 @@ class SimulationWorker:
             return "waiting for a pattern"
         return self._run.simulation.phase if self._is_over() else self._mode.value
 
-    def _new_path(self, suffixes: tuple[str, ...]) -> Path:
+    def _claim(self, suffixes: tuple[str, ...], claim: Callable[[Path], object]) -> Path:
         run = self._run
-        return free_path(
-            self._settings.record_directory, "cloth_sim" if run is None else run.scene.garment.name, suffixes
-        )
+        name = "cloth_sim" if run is None else run.scene.garment.name
+        return claim_path(self._settings.record_directory, name, suffixes, claim)
 
     # -- called by the builder, in its thread --------------------------------------------------------------------------
 

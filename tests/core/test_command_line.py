@@ -231,7 +231,33 @@ def test_explain_prints_every_term_with_its_reason(capsys: pytest.CaptureFixture
         assert words in shown
 
 
-@pytest.mark.parametrize("command", ["drape", "explain", "render", "play"])
+def test_terms_can_be_switched_off_and_what_is_needed_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--quality", "draft", "--without", "gravity", "--without", "self contact"]
+    assert main(["explain", "rectangle", *options, "--json"]) == 0
+    out = capsys.readouterr()
+    terms = json.loads(out.out)["terms"]
+    assert not terms["gravity"]["active"]
+    assert not terms["self contact"]["active"]
+    # The level square metre of cotton at rest: its weight is missed, its layers are not close.
+    assert terms["gravity"]["missed"].startswith("gravity is off and 0.124 kg of cloth do not weigh")
+    assert terms["self contact"]["missed"] is None
+    assert terms["self contact"]["reason"] == "switched off by hand"
+
+
+def test_term_that_cannot_be_switched_off_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "rectangle", "--without", "magic"]) == 2
+    assert "without 'magic': no term that can be switched off; use some of gravity," in one_line_of_error(capsys)
+
+
+def test_explain_shows_shares_and_what_to_expect(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", *SHEET_AT_REST[1:]]) == 0
+    shown = capsys.readouterr().out
+    assert "share" in shown
+    assert "(time:" in shown
+    assert "expected error" in shown
+
+
+@pytest.mark.parametrize("command", ["drape", "explain", "render", "play", "tradeoff"])
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([command, "--help"]) == 0
     assert "Usage: cloth-sim " + command in capsys.readouterr().out

@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator
 
-import ipctk
 import numpy as np
 import pytest
 import trimesh
 from apparatus import GRAVITY, body_of, crossings, placed, plain_fabric, sheet, throw
+from naive_geometry import edge_edge_distance, point_triangle_distance
 from scipy.spatial.transform import Rotation
 
 from cloth_core.body import Body
+from cloth_core.body_contact import BodyContact
+from cloth_core.contact import Contact
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.quality import Settings
@@ -116,11 +118,11 @@ def test_coarse_sheet_is_held_where_none_of_its_vertices_comes_near(name, turn, 
         lowest = min(lowest, simulation.positions[:, 2].min())
     x, triangles = simulation.sewn_mesh()
     if name == "spike":  # the tip itself
-        distance = min(ipctk.point_triangle_distance(np.zeros(3), *x[t]) for t in triangles) ** 0.5
+        distance = min(point_triangle_distance(np.zeros(3), *x[t]) for t in triangles) ** 0.5
     else:
         ends = body.vertices[np.abs(body.vertices[:, 2]) < 1e-9]
         sides = [(t[k], t[(k + 1) % 3]) for t in triangles for k in range(3)]
-        distance = min(ipctk.edge_edge_distance(x[i], x[j], *ends) for i, j in sides) ** 0.5
+        distance = min(edge_edge_distance(x[i], x[j], *ends) for i, j in sides) ** 0.5
     assert 0.0 < distance < 0.1 if lowest < -0.05 else distance > 0.0
 
 
@@ -140,7 +142,7 @@ def test_resting_coarse_sheet_stays_off_edges_and_tips():
         simulation.advance(0.02)
         x, triangles = simulation.sewn_mesh()
         assert crossings(x, triangles, body) == 0
-        nearest = min(ipctk.point_triangle_distance(tip, *x[t]) for tip in tips for t in triangles) ** 0.5
+        nearest = min(point_triangle_distance(tip, *x[t]) for tip in tips for t in triangles) ** 0.5
         assert nearest > 0.4 * OFFSET
     assert x[:, 2].min() < -0.01  # it has come down on them
 
@@ -148,24 +150,24 @@ def test_resting_coarse_sheet_stays_off_edges_and_tips():
 @pytest.mark.parametrize("seed", range(4))
 def test_travel_bound_is_less_than_the_distance_to_anything(seed):
     # What makes tunnelling impossible: no particle may go as far as any part of the body from any part of the cloth
-    # that moves with it. Distances by ipctk, all against all.
+    # that moves with it. Distances by textbook formulas, all against all.
     rng = np.random.default_rng(seed)
     body = body_of(trimesh.creation.icosphere(1, radius=0.1), Rotation.random(random_state=seed).as_matrix())
     garment = placed(sheet(0.2, 0.2, 0.1), Rotation.random(random_state=seed + 10).as_matrix(), [0.0, 0.0, 0.16])
     x = garment.start + 0.01 * rng.standard_normal(garment.start.shape)
-    scene = Scene(garment=garment, body=body, fabric=plain_fabric(), settings=Settings(contact_offset=OFFSET))
+    contact = Contact(garment.triangles, BodyContact(body, OFFSET), radius=0.2)
     reach = 0.2
-    travel = Simulation(scene).model.contact.search(x, reach).travel
+    travel = contact.search(x, reach).travel
     free = np.full(len(x), np.inf)
     for t in garment.triangles:
         for b in body.triangles:
             p, q = x[t], body.vertices[b]
             for k in range(3):
-                free[t[k]] = min(free[t[k]], ipctk.point_triangle_distance(p[k], *q))
-                free[t] = np.minimum(free[t], ipctk.point_triangle_distance(q[k], *p))
+                free[t[k]] = min(free[t[k]], point_triangle_distance(p[k], *q))
+                free[t] = np.minimum(free[t], point_triangle_distance(q[k], *p))
                 for m in range(3):
                     side = t[[k, (k + 1) % 3]]
-                    free[side] = np.minimum(free[side], ipctk.edge_edge_distance(*x[side], q[m], q[(m + 1) % 3]))
+                    free[side] = np.minimum(free[side], edge_edge_distance(*x[side], q[m], q[(m + 1) % 3]))
     free = np.sqrt(free)
     assert free.min() < 0.1  # near enough to say something
     assert (travel > 0).all()

@@ -1,16 +1,18 @@
-"""Counting of crossings: against ipctk's predicate and exact fractions, on random and on constructed meshes."""
+"""Counting of crossings: against ipctk, libigl and exact fractions, on random and on constructed meshes."""
 
 from fractions import Fraction
 
-import ipctk
+import igl.predicates
+import naive_geometry
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.intersections import crossing_edges, crossing_pairs, segment_crosses, self_crossing_edges
 from cloth_core.mesh_topology import representatives, unique_edges
+from cloth_core.orientation import exact_orientation, orientation
 
 
 def sides_of(triangles: np.ndarray) -> list[tuple[int, int]]:
@@ -24,10 +26,10 @@ def volume(a, b, c, d) -> Fraction:
 
 
 def crosses_exactly(p, q, a, b, c) -> bool:
-    """Whether segment pq passes through the inside of triangle abc."""
+    """Whether segment pq passes from one side of triangle abc to the other, its sides and corners included."""
     above, below = volume(a, b, c, p), volume(a, b, c, q)
     signs = {(v > 0) - (v < 0) for v in (volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a))}
-    return above * below < 0 and signs in ({1}, {-1})
+    return above * below < 0 and not {1, -1} <= signs
 
 
 def naive(x, triangles, other_x, other_triangles, test, same: bool = False) -> list[tuple[int, int]]:
@@ -56,10 +58,10 @@ def random_mesh(rng: np.random.Generator, vertices: int, count: int) -> tuple[np
 def test_crossings_of_random_meshes_are_those_of_ipctk(seed):
     rng = np.random.default_rng(seed)
     one, other = random_mesh(rng, 25, 30), random_mesh(rng, 20, 25)
-    expected = naive(*one, *other, ipctk.is_edge_intersecting_triangle)
+    expected = naive(*one, *other, naive_geometry.is_edge_intersecting_triangle)
     assert len(expected) > 10
     assert as_list(crossing_edges(*one, *other)) == expected
-    expected = naive(*one, *one, ipctk.is_edge_intersecting_triangle, same=True)
+    expected = naive(*one, *one, naive_geometry.is_edge_intersecting_triangle, same=True)
     assert len(expected) > 10
     assert as_list(self_crossing_edges(*one)) == expected
 
@@ -118,6 +120,131 @@ def test_nothing_crosses_nothing():
     assert crossing_edges(x, none, x, faces).shape == (0, 2)
     assert crossing_edges(x, faces, np.zeros((0, 3)), none).shape == (0, 2)
     assert self_crossing_edges(x, none).shape == (0, 2)
+
+
+# ---- exact signs
+
+
+def hard_points(seed: int) -> np.ndarray:
+    """Four points of which the last lies nearly or exactly in the plane of the others, also far from the origin."""
+    rng = np.random.default_rng(seed)
+    points = rng.integers(-3, 4, (4, 3)) * rng.choice([1.0, 0.1, 1e-7, 1 / 3])
+    if seed % 3 == 0:
+        points = rng.uniform(-1, 1, (4, 3))
+        points[3] = rng.dirichlet([1, 1, 1]) @ points[:3]
+    if seed % 4 == 0:
+        points[2] = (points[0] + points[1]) / 2 + rng.uniform(-1e-15, 1e-15, 3)
+    if seed % 2 == 0:
+        points += rng.uniform(-1e4, 1e4, 3)
+    return points
+
+
+def test_orientation_is_exact_where_rounding_decides():
+    points = np.array([hard_points(seed) for seed in range(600)])
+    exact = np.array([(v > 0) - (v < 0) for v in (volume(*p) for p in points)])
+    assert min(np.bincount(exact + 1)) > 50
+    np.testing.assert_array_equal([orientation(*p) for p in points], exact)
+    np.testing.assert_array_equal([exact_orientation(*p) for p in points], exact)
+    # libigl's predicates (Shewchuk's own code) take the other side for the positive one.
+    np.testing.assert_array_equal(igl.predicates.orient3d(*(points[:, k].copy() for k in range(4))), -exact)
+    u, v, w = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0], points[:, 3] - points[:, 0]
+    assert (np.sign((np.cross(u, v) * w).sum(-1)) != exact).sum() > 20  # plain floating point is often wrong here
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["plain", "slivers", "far from the origin"])
+def test_pairs_of_triangles_that_meet_are_those_of_libigl(kind, seed):
+    rng = np.random.default_rng(seed)
+    meshes = []
+    for _ in range(2):
+        x, triangles = random_mesh(rng, 30, 40)
+        if kind == "slivers" and not meshes:  # each third corner lies nearly between the two others
+            triangles = np.arange(120, dtype=np.int32).reshape(-1, 3)
+            x = rng.uniform(-1, 1, (120, 3))
+            x[2::3] = (x[0::3] + x[1::3]) / 2 + rng.uniform(-1e-9, 1e-9, (40, 3))
+        if kind == "far from the origin":
+            x += np.array([1e4, -1e4, 1e4])
+        meshes.append((x, triangles))
+    one, other = meshes
+    found = set()
+    for first, second, swap in ((one, other, False), (other, one, True)):
+        edges, pairs = crossing_pairs(*first, *second)
+        for e, t in pairs.tolist():
+            owners = np.flatnonzero(np.isin(first[1], edges[e]).sum(axis=1) == 2)
+            found |= {(t, o) if swap else (o, t) for o in owners.tolist()}
+    _, pairs, _ = igl.predicates.find_intersections(
+        one[0], one[1].astype(np.int64), other[0], other[1].astype(np.int64)
+    )
+    expected = {tuple(pair) for pair in pairs.tolist()}
+    assert len(expected) > 50
+    assert found == expected
+
+
+# ---- the rule where things only just meet
+
+SQUARE = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+HALVES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+FIN = np.array([[0, 1, 2]], dtype=np.int32)
+PLACES = [(0.0, 0.0, 0.0), (1e4, -2e4, 3e4), (0.1, 0.2, 0.3)]
+
+
+def through_square(points: np.ndarray, faces: np.ndarray, place) -> int:
+    """Crossings of a mesh and a square of two triangles in the plane z = 0, both moved."""
+    move = np.asarray(place)
+    return len(crossing_edges(np.asarray(points) + move, faces, SQUARE + move, HALVES))
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_side_through_the_common_side_or_a_corner_of_triangles_counts_once(place):
+    # Sides 0-1 and 0-2 go down, both through the diagonal or one of its ends.
+    for start, first, second in (((0.0, 0, 1), (0, 0, -1), (1, 1, -1)), ((0.5, 0.5, 1), (0.5, 0.5, -1), (1, 1, -1))):
+        assert through_square([start, first, second], FIN, (0, 0, 0)) == 2
+    assert through_square([(0.25, 0.25, 1), (0.25, 0.25, -1), (3, 0, 1)], FIN, place) >= 1
+    assert segment_crosses(*(np.array(p, dtype=float) for p in ((1, 1, 1), (1, 1, -1), *SQUARE[:3])))
+    assert not segment_crosses(
+        *(np.array(p, dtype=float) for p in ((1, 1 + 2.0**-50, 1), (1, 1 + 2.0**-50, -1), *SQUARE[:3]))
+    )
+
+
+@pytest.mark.parametrize("place", PLACES[:2])
+def test_lying_on_each_other_is_not_crossing(place):
+    flat = np.array([[-0.5, -0.5, 0], [0.7, -0.2, 0], [0.1, 2.0, 0]])
+    assert through_square(flat, FIN, place) == 0  # overlaps in the plane
+    hinge = np.array([[-0.5, -0.5, 0], [0.7, -0.2, 0], [0.1, 0.3, 1]])
+    assert through_square(hinge, FIN, place) == 0  # one side lies in the plane
+    for z in (1.0, -1.0):
+        tip = np.array([[0.25, 0.125, 0], [0.5, 0.25, z], [0.25, 0.5, z]])
+        assert through_square(tip, FIN, place) == 0  # a tip that touches, from either side
+
+
+@pytest.mark.parametrize("place", PLACES[:2])
+def test_surface_that_passes_through_at_a_row_of_its_corners_is_seen(place):
+    # An upright strip with its middle row of vertices exactly in the plane: no side has its ends on both sides.
+    x = np.array([[0.25 * i - 0.5, 0.125, z] for z in (1.0, 0.0, -1.0) for i in range(5)])
+    quads = np.array([5 * j + i for j in range(2) for i in range(4)])
+    faces = np.vstack([np.column_stack([quads, quads + 1, quads + 6]), np.column_stack([quads, quads + 6, quads + 5])])
+    faces = faces.astype(np.int32)
+    # All sides that end in the middle row from above or below: 5 upright and 4 diagonal ones each way.
+    assert through_square(x, faces, place) == 18
+    # The same strip folded up at that row only touches.
+    folded = x.copy()
+    folded[10:, 2] = 1.0
+    folded[10:, 1] += 0.5
+    assert through_square(folded, faces, place) == 0
+
+
+def test_panels_that_are_sewn_but_not_merged_do_not_cross_at_their_seam():
+    # Two squares whose facing sides are to be sewn; the gap is so small that they overlap by a micrometre.
+    left, right = SQUARE.copy(), SQUARE + np.array([2.0 - 1e-6, 0, 0])
+    right[[0, 3], 2] = [1e-7, -1e-7]
+    right[[1, 2], 2] = [-0.3, 0.3]
+    x, faces = np.vstack([left, right]), np.vstack([HALVES, HALVES + 4]).astype(np.int32)
+    sewn = np.array([0, 1, 2, 3, 1, 4, 5, 2], dtype=np.int32)  # 1 with 4 and 2 with 7
+    assert len(self_crossing_edges(x, faces)) > 0
+    assert len(self_crossing_edges(x, faces, sewn)) == 0
+    merged = np.empty((6, 3))
+    merged[sewn] = x
+    assert len(self_crossing_edges(merged, sewn[faces])) == 0
 
 
 # ---- who stands for which vertex and side

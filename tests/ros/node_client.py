@@ -31,7 +31,7 @@ __all__ = ["LATCHED", "Client", "NodeProcess"]
 PATIENCE = 120.0
 """How long a test waits for what must happen, compilation included [s]."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TYPES = {"garment": Marker, "body_marker": Marker, "report": String}
+TYPES = {"garment": Marker, "body_marker": Marker, "report": String, "pattern": String, "body": Mesh}
 
 
 class NodeProcess:

@@ -82,9 +82,15 @@ def test_loops_until_it_is_interrupted_and_serves_late_joiners(log, play, client
     client.subscribe("garment")
     frames = logged_frames(log)
     client.wait(lambda: client.received["garment"].count(frames[-1]) >= 3)
+    # Pattern and body were sent once, long ago; who comes late sees them all the same, and the garment as it is.
     late_joiner = Client(own_name="late_joiner")
-    late_joiner.subscribe("body_marker")
-    late_joiner.wait(lambda: late_joiner.received["body_marker"])
+    late_joiner.subscribe("garment", "body_marker", "body", "pattern")
+    late_joiner.wait(lambda: all(late_joiner.received.values()))
+    assert late_joiner.received["garment"][0] in frames
+    assert late_joiner.last("pattern").data == "{}"
+    body = late_joiner.last("body")
+    assert [[v.x, v.y, v.z] for v in body.vertices] == BOX_VERTICES.tolist()
+    assert len(late_joiner.last("body_marker").points) == 3 * len(BOX_TRIANGLES) == 3 * len(body.triangles)
     late_joiner.close()
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0
