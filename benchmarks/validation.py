@@ -334,7 +334,7 @@ What to read from it:
   12 mm) need 5 mm and finer.
 - Cotton's 82.9 % and its two folds come from friction between its yarns (bending hysteresis), which this elastic model
   does not have; its elastic stiffness alone gives what is simulated here.
-- The number of folds depends on the 0.1 mm of unevenness from which they grow, by one or two between starts; more folds
+- The number of folds depends on the 0.1 mm of unevenness from which they grow, by up to four between starts; more folds
   than published, as nothing here makes shallow folds merge.
 """
 
