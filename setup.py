@@ -27,7 +27,7 @@ TEST = [
     # The suite as such.
     "hypothesis>=6.100",
     "pytest>=8.0",
-    # Independent truths: other people's readers of logs, another DDS stack, intersections, curves, and what trimesh needs.
+    # Independent truths: other people's readers of logs, another DDS stack, crossings, curves, and what trimesh needs.
     "cyclonedds>=11.0; platform_machine == 'x86_64'",  # has wheels for nothing else
     "libigl>=2.6",
     "mcap-ros2-support>=0.5",
@@ -57,14 +57,14 @@ setup(
     packages=["cloth_core", "cloth_sim_ros"],
     package_data={
         "cloth_core": ["py.typed", "data/**/*"],
-        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*", "security/*"],
+        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*", "security/*", "foxglove/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *(
             (f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*"))
-            for folder in ("launch", "config", "rviz", "security")
+            for folder in ("launch", "config", "rviz", "security", "foxglove")
         ),
     ],
     zip_safe=False,

@@ -135,7 +135,8 @@ def bending_forces(
     """Add -k w_i sum_j w_j x_j to every particle of every bending element.
 
     Shapes: x, force (3, n) [m, N]; lines with the value k [N/m] and the weights (1, -2, 1); hinge, weights (h, 4);
-    stiffness k (h,) [N/m]; scratch (3, at least n). The force is linear in x: with x + tau v in its place it includes a damping of time tau.
+    stiffness k (h,) [N/m]; scratch (3, at least n). The force is linear in x: with x + tau v in its place it includes a
+    damping of time tau.
     """
     for axis in range(3):
         y, f, bent = x[axis], force[axis], scratch[axis]

@@ -44,6 +44,7 @@ class VertexPlanes(NamedTuple):
         plane_count: contact planes of each particle, (n,); -1 before they are first computed.
         normal: unit normals pointing away from the body, (n, 3, 3).
         gap: distance to the offset surface at `at` [m], (n, 3).
+        velocity: of the body at each plane's closest point [m/s], (n, 3, 3).
         at: where the planes were computed [m], (n, 3).
     """
 
@@ -53,6 +54,7 @@ class VertexPlanes(NamedTuple):
     plane_count: Ints
     normal: Floats
     gap: Floats
+    velocity: Floats
     at: Floats
 
     @classmethod
@@ -67,6 +69,7 @@ class VertexPlanes(NamedTuple):
             plane_count=np.full(particle_count, -1, dtype=np.int32),
             normal=np.zeros((particle_count, _MOST_PLANES, 3)),
             gap=np.zeros((particle_count, _MOST_PLANES)),
+            velocity=np.zeros((particle_count, _MOST_PLANES, 3)),
             at=np.zeros((particle_count, 3)),
         )
 
@@ -213,7 +216,14 @@ def vertex_body_gaps(
 
 @kernel
 def _renew_planes(
-    i: int, x: Floats, planes: VertexPlanes, body_x: Floats, body_triangles: Ints, offset: float, slack: float
+    i: int,
+    x: Floats,
+    planes: VertexPlanes,
+    body_x: Floats,
+    body_v: Floats,
+    body_triangles: Ints,
+    offset: float,
+    slack: float,
 ) -> None:
     """Contact planes of particle i: its nearest triangles within offset + slack, one for each direction."""
     count = 0
@@ -248,6 +258,8 @@ def _renew_planes(
             planes.normal[i, slot, 0] = nx
             planes.normal[i, slot, 1] = ny
             planes.normal[i, slot, 2] = nz
+            for axis in range(3):
+                planes.velocity[i, slot, axis] = u * body_v[a, axis] + v * body_v[b, axis] + w * body_v[c, axis]
     planes.plane_count[i] = count
     for axis in range(3):
         planes.at[i, axis] = x[i, axis]
@@ -260,6 +272,7 @@ def hold_vertices(
     inverse_mass: Floats,
     planes: VertexPlanes,
     body_x: Floats,
+    body_v: Floats,
     body_triangles: Ints,
     offset: float,
     friction: float,
@@ -275,7 +288,7 @@ def hold_vertices(
         dy = x[i, 1] - planes.at[i, 1]
         dz = x[i, 2] - planes.at[i, 2]
         if planes.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > renewal * renewal:
-            _renew_planes(i, x, planes, body_x, body_triangles, offset, 2.0 * renewal)
+            _renew_planes(i, x, planes, body_x, body_v, body_triangles, offset, 2.0 * renewal)
         held = planes.plane_count[i]
         # One plane is settled in one go; in a crease the planes disturb each other.
         for _ in range(1 if held == 1 else _SWEEPS):
@@ -289,12 +302,16 @@ def hold_vertices(
                 )
                 if gap >= 0.0:
                     continue
-                approach = nx * v[i, 0] + ny * v[i, 1] + nz * v[i, 2]
+                # Relative to the body, which may move.
+                rx = v[i, 0] - planes.velocity[i, k, 0]
+                ry = v[i, 1] - planes.velocity[i, k, 1]
+                rz = v[i, 2] - planes.velocity[i, k, 2]
+                approach = nx * rx + ny * ry + nz * rz
                 push = _push(gap, approach, push_speed, dt)
                 if push <= 0.0:
                     continue
                 stop = max(-approach, 0.0)
-                tx, ty, tz = v[i, 0] - approach * nx, v[i, 1] - approach * ny, v[i, 2] - approach * nz
+                tx, ty, tz = rx - approach * nx, ry - approach * ny, rz - approach * nz
                 slide = np.sqrt(tx * tx + ty * ty + tz * tz)
                 hold = min(friction * stop / slide, 1.0) if slide > 0.0 else 0.0
                 v[i, 0] += stop * nx - hold * tx

@@ -3,9 +3,9 @@
 *Broad phase* (rarely): traversals of the AABB trees find every vertex-triangle and edge-edge pair that can come into
 contact while no particle moves farther than a radius. It is repeated when a particle has used up most of that radius.
 
-*Narrow phase* (more often): the distances of those candidates, and from them a bound on how far each particle may travel
-before the next narrow phase: less than its share of the distance to whatever it could hit, so that nothing can have
-crossed (the displacement bound of offset geometric contact, Chen et al. 2025).
+*Narrow phase* (more often): the distances of those candidates, and from them a bound on how far each particle may
+travel before the next narrow phase: less than its share of the distance to whatever it could hit, so that nothing can
+have crossed (the displacement bound of offset geometric contact, Chen et al. 2025).
 
 *Response* (each step): a contact holds its parts apart by removing the approaching velocity, with Coulomb friction
 bounded by the same impulse (Moreau's time stepping). There is no contact stiffness: the stable time step does not
@@ -81,13 +81,14 @@ class ContactSettings(NamedTuple):
 
     Attributes:
         active: whether there is anything to collide with.
-        body_vertices (b, 3) [m], body_triangles (t, 3): empty without a body.
+        body_vertices (b, 3) [m], body_velocity (b, 3) [m/s], body_triangles (t, 3): empty without a body.
         offset: distance of cloth vertices from the body [m].
         friction: Coulomb coefficient; push_speed: fastest way out for what is too near [m/s].
     """
 
     active: bool
     body_vertices: Floats
+    body_velocity: Floats
     body_triangles: Ints
     offset: float
     friction: float
@@ -119,6 +120,7 @@ class Contact:
         self._representatives = representatives(self.triangles)
         self._tree: AabbTree | None = None
         self._broad_x = np.zeros((0, 3))
+        self._broad_body_x = np.zeros((0, 3))
         self._planes = _no_planes(0)
         self._pairs = PairContacts.none()
 
@@ -132,7 +134,7 @@ class Contact:
         reach = np.minimum(np.broadcast_to(reach, len(x)), self.radius)
         moved = np.full(len(x), np.inf)
         if len(self._broad_x) == len(x):
-            moved = np.sqrt(((x - self._broad_x) ** 2).sum(axis=1))
+            moved = np.sqrt(((x - self._broad_x) ** 2).sum(axis=1)) + self._way_of_body()
         least = np.clip(reach, _LEAST_SHARE * self.radius, 0.5 * self.radius)
         if (self.radius - moved < least).any():
             self._broad_phase(x)
@@ -152,10 +154,10 @@ class Contact:
             if self._tree is None:
                 self._tree = build_tree(x, self.triangles)
             refit_tree(self._tree, x, self.triangles, self.body.offset + self.radius)
-            self._planes, *found = self.body.candidates(
+            self._planes, rows, offset, distance = self.body.candidates(
                 x, self.triangles, self._representatives, self._tree, self.radius
             )
-            parts.append((found[0], found[1], found[2]))
+            parts.append((rows, offset, distance))
         if self.cloth is not None:
             parts.append(self.cloth.candidates(x, self.radius))
         pairs = PairContacts.none()
@@ -165,6 +167,14 @@ class Contact:
         pairs.remember(self._pairs)
         self._pairs = pairs
         self._broad_x = x.copy()
+        if self.body is not None:
+            self._broad_body_x = self.body.body.vertices
+
+    def _way_of_body(self) -> float:
+        """Farthest that any vertex of the body has moved since the broad phase [m]."""
+        if self.body is None or self.body.body.vertices is self._broad_body_x:
+            return 0.0
+        return float(np.sqrt(((self.body.body.vertices - self._broad_body_x) ** 2).sum(axis=1).max()))
 
 
 @kernel
@@ -225,8 +235,8 @@ def _narrow_phase(
 def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
     """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound.
 
-    A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever holds it
-    there would go on adding to a velocity that shows nowhere.
+    A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever drives
+    it there would go on adding to a velocity that shows nowhere.
     """
     spent = False
     for i in range(x.shape[0]):
@@ -263,10 +273,11 @@ def resolve_contacts(
     repeat_impulses(x, v, inverse_mass, state.pairs, dt)
     spent = keep_within_travel(x, v, state, moved)
     hold_vertices(
-        x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_triangles, settings.offset,
-        settings.friction, settings.push_speed, dt,
+        x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_velocity, settings.body_triangles,
+        settings.offset, settings.friction, settings.push_speed, dt,
     )  # fmt: skip
     hold_pairs(
-        x, v, inverse_mass, state.pairs, settings.body_vertices, settings.friction, settings.push_speed, dt, moved
-    )
+        x, v, inverse_mass, state.pairs, settings.body_vertices, settings.body_velocity, settings.friction,
+        settings.push_speed, dt, moved,
+    )  # fmt: skip
     return spent

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 def semi_implicit_euler(x: Floats, v: Floats, force: Floats, inverse_mass: Floats, dt: float) -> None:
     """a = F(t) / m; v(t + dt) = v(t) + dt a; x(t + dt) = x(t) + dt v(t + dt), in place.
 
-    Shapes: x, v (n, 3) [m, m/s]; force (3, n) [N]; inverse_mass (n,) [1/kg], 0 for a particle that does not move; dt [s].
+    Shapes: x, v (n, 3) [m, m/s]; force (3, n) [N]; inverse_mass (n,) [1/kg], 0 for what does not move; dt [s].
     """
     for i in range(x.shape[0]):
         for axis in range(3):

@@ -56,7 +56,8 @@ class PairContacts(NamedTuple):
         body: body vertices, -1 where there is none, (s, 2).
         offset: distance at which the two are held apart [m], (s,).
         distance: at the broad phase [m], (s,).
-        weight: of each particle in the vector between the closest points, (s, 4).
+        weight: of each particle in the vector between the closest points, (s, 4); for two sides of cloth and body the
+            third entry is where the body's closest point lies between its two vertices.
         normal: unit vector towards the first part (from body to cloth), (s, 3).
         gap: distance to the offset before the step [m], (s,).
         impulse: what the contact gave in the last step along the normal [N s], (s,).
@@ -136,7 +137,7 @@ class PairContacts(NamedTuple):
             # Multiplying by an odd number and mixing in the high bits keeps different pairs apart in 64 bits.
             key = key * np.uint64(0x9E3779B97F4A7C15) + (column.astype(np.int64) + 2).astype(np.uint64)
             key ^= key >> np.uint64(29)
-        return key
+        return np.asarray(key, dtype=np.uint64)
 
 
 @kernel
@@ -161,6 +162,7 @@ def hold_pairs(
     inverse_mass: Floats,
     pairs: PairContacts,
     body_x: Floats,
+    body_v: Floats,
     friction: float,
     push_speed: float,
     dt: float,
@@ -168,17 +170,17 @@ def hold_pairs(
 ) -> None:
     """Hold all pairs apart after a step, in place.
 
-    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,); body_x (b, 3) [m]; moved (n,), way of each particle since the
-    search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near comes out.
+    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,); body_x, body_v (b, 3) [m, m/s]; moved (n,), way of each particle
+    since the search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near leaves.
     """
-    count = _find_active(x, v, inverse_mass, pairs, body_x, dt, moved)
+    count = _find_active(x, v, inverse_mass, pairs, body_x, body_v, dt, moved)
     for _ in range(_SWEEPS if count > 0 else 0):
         for entry in range(count):
             s = pairs.active[entry]
             compliance = _compliance(inverse_mass, pairs, s)
             if compliance <= 0.0:
                 continue
-            vx, vy, vz = _relative_velocity(v, pairs, s)
+            vx, vy, vz = _relative_velocity(v, body_v, pairs, s)
             nx, ny, nz = pairs.normal[s, 0], pairs.normal[s, 1], pairs.normal[s, 2]
             approach = vx * nx + vy * ny + vz * nz
             # A gap that was still open may close within the step, no more.
@@ -217,7 +219,14 @@ def hold_pairs(
 
 @kernel
 def _find_active(
-    x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, body_x: Floats, dt: float, moved: Floats
+    x: Floats,
+    v: Floats,
+    inverse_mass: Floats,
+    pairs: PairContacts,
+    body_x: Floats,
+    body_v: Floats,
+    dt: float,
+    moved: Floats,
 ) -> int:
     """Measure the pairs that can have come near; list those in contact, with weights, normal and gap."""
     count = 0
@@ -246,7 +255,7 @@ def _find_active(
         distance = np.sqrt(squared)
         for axis in range(3):
             pairs.normal[s, axis] = closest[axis] / distance
-        vx, vy, vz = _relative_velocity(v, pairs, s)
+        vx, vy, vz = _relative_velocity(v, body_v, pairs, s)
         approach = vx * pairs.normal[s, 0] + vy * pairs.normal[s, 1] + vz * pairs.normal[s, 2]
         pairs.gap[s] = distance - pairs.offset[s] - dt * approach
         if size > 0.0:  # and it is given again where they touch now
@@ -292,7 +301,7 @@ def measure_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest
     elif kind == BODY_SIDE:
         c, d = pairs.body[s, 0], pairs.body[s, 1]
         squared, w0, w1 = segment_segment(x[p], x[q], body_x[c], body_x[d])
-        pairs.weight[s, 0], pairs.weight[s, 1] = 1.0 - w0, w0
+        pairs.weight[s, 0], pairs.weight[s, 1], pairs.weight[s, 2] = 1.0 - w0, w0, w1
         for axis in range(3):
             closest[axis] = -(1.0 - w1) * body_x[c, axis] - w1 * body_x[d, axis]
     else:
@@ -323,7 +332,7 @@ def _compliance(inverse_mass: Floats, pairs: PairContacts, s: int) -> float:
 
 
 @kernel
-def _relative_velocity(v: Floats, pairs: PairContacts, s: int) -> tuple[float, float, float]:
+def _relative_velocity(v: Floats, body_v: Floats, pairs: PairContacts, s: int) -> tuple[float, float, float]:
     """Velocity of the first part's closest point relative to the other's [m/s]."""
     vx, vy, vz = 0.0, 0.0, 0.0
     for k in range(4):
@@ -333,6 +342,16 @@ def _relative_velocity(v: Floats, pairs: PairContacts, s: int) -> tuple[float, f
             vx += weight * v[i, 0]
             vy += weight * v[i, 1]
             vz += weight * v[i, 2]
+    c, d = pairs.body[s, 0], pairs.body[s, 1]
+    if c >= 0:
+        along = pairs.weight[s, 2] if d >= 0 else 0.0
+        vx -= (1.0 - along) * body_v[c, 0]
+        vy -= (1.0 - along) * body_v[c, 1]
+        vz -= (1.0 - along) * body_v[c, 2]
+        if d >= 0:
+            vx -= along * body_v[d, 0]
+            vy -= along * body_v[d, 1]
+            vz -= along * body_v[d, 2]
     return vx, vy, vz
 
 

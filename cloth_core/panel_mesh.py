@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.errors import GarmentError
+from cloth_core.unique_rows import unique_rows
 
 __all__ = ["PanelMesh", "mesh_panel", "smallest_angles"]
 
@@ -244,8 +245,8 @@ def _conforms(points: Floats, triangles: Ints, outline_count: int, area: float) 
     if abs(_doubled_areas(points, triangles).sum() / 2 - area) > 1e-9 * area:
         return False
     sides = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-    unique, count = np.unique(sides, axis=0, return_counts=True)
-    free = unique[count == 1]
+    unique = unique_rows(sides)
+    free = unique.rows[unique.counts == 1]
     ring = np.arange(outline_count)
     expected = np.unique(np.sort(np.stack([ring, (ring + 1) % outline_count], 1), axis=1), axis=0)
-    return bool(count.max() <= 2 and free.shape == expected.shape and (free == expected).all())
+    return bool(unique.counts.max() <= 2 and free.shape == expected.shape and (free == expected).all())

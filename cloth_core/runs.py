@@ -1,9 +1,9 @@
 """Runs: elements of the grid that lie side by side, so that the processor can work on several of them at once.
 
-Inside a panel the particles of a row of the lattice are numbered one after the other. The springs from each particle of a
-row to its right neighbour, say, are then pairs (i, i + 1), (i + 1, i + 2), ... of one stiffness and one rest length: a
-*run*, described by its first element and its length, whose positions lie in memory one after the other. What is left
-over, mostly at outlines and seams, stays a list.
+Inside a panel the particles of a row of the lattice are numbered one after the other. The springs from each particle
+of a row to its right neighbour, say, are then pairs (i, i + 1), (i + 1, i + 2), ... of one stiffness and one rest
+length: a *run*, described by its first element and its length, whose positions lie in memory one after the other. What
+is left over, mostly at outlines and seams, stays a list.
 """
 
 from __future__ import annotations

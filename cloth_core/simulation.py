@@ -6,16 +6,18 @@ import hashlib
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import SPENT, ContactState
-from cloth_core.errors import SimulationError
+from cloth_core.contact import SPENT, ContactSettings, ContactState
+from cloth_core.errors import SceneError, SimulationError
+from cloth_core.grasp import Grasps, Pose
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
+from cloth_core.moving_body import BodyMotion
 from cloth_core.report import Report
 from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
@@ -84,16 +86,22 @@ class Simulation:
         ClothError: the scene cannot be made into a model.
 
     Attributes:
-        scene: as given.
+        scene: as given; its body is replaced while it moves.
         model: the terms at present; replaced when the seams have closed.
         phase: "sewing", "draping", "rest" or "failed".
         time: simulated [s].
         steps: done so far.
         settled: whether the cloth is at rest by the settings' criterion.
+        grasps: who holds which particles.
     """
 
+    model: Model
+    _x: Floats
+    _v: Floats
+    _contact_settings: ContactSettings
+
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+        self.scene = self._scene_at_start = scene
         self._wall = 0.0
         began = time.perf_counter()
         self.time = 0.0
@@ -106,9 +114,13 @@ class Simulation:
         self._widest_gap = math.inf
         self._kinetic_energy = 0.0
         self._calming = True
+        self._impulse_step = 1.0
+        self._flight_step = math.inf
         self._stiffening = False
         self._next_sewing = 0.0
         self._speed = 0.0
+        self.grasps = Grasps()
+        self._body_motion: BodyMotion | None = None
         garment = scene.garment
         sewing = bool(scene_without(scene).garment.seams)
         self._use(Model(scene, sewing=sewing), garment.start, np.zeros_like(garment.start))
@@ -207,8 +219,82 @@ class Simulation:
         return self.report(reason)
 
     def reset(self) -> None:
-        """Back to the start, with all seams open."""
-        self.__init__(self.scene)  # type: ignore[misc]
+        """Back to the start, with all seams open, nothing held and the body where it was."""
+        self.__init__(self._scene_at_start)  # type: ignore[misc]
+
+    # -- what acts from outside while it runs --
+
+    def grasp(self, name: str, particles: Ints, pose: Pose) -> int:
+        """Hold particles (unsewn numbering) at a gripper's frame; returns how many.
+
+        Raises:
+            SimulationError: the gripper holds something already, or there is nothing to hold.
+        """
+        count = self.grasps.take(name, particles, pose, self.model, self._x)
+        self._v[self.model.inverse_mass == 0.0] = 0.0
+        self._refresh_time_step()
+        self._wake()
+        return count
+
+    def move_grasp(self, name: str, goal: Pose) -> None:
+        """Let a gripper follow to a new pose."""
+        if self.grasps.move(name, goal):
+            self._wake()
+
+    def release(self, name: str) -> int:
+        """Let go of what a gripper holds; returns how many particles.
+
+        Raises:
+            SimulationError: it holds nothing.
+        """
+        count = self.grasps.release(name, self.model)
+        # The last estimate knows nothing of what was held.
+        self._stable = self.model.stable_step(self._x, self._air_drag())
+        self._refresh_time_step(estimate=False)
+        self._wake()
+        return count
+
+    def move_body(self, vertices: Floats, duration: float, max_speed: float = math.inf) -> None:
+        """Let the body's vertices move linearly to new places (n, 3) [m] within `duration` [s] of simulated time.
+
+        A second call before the first has ended starts from where the body is by then. The body takes longer where
+        max_speed [m/s] or cloth that is pinched asks for it.
+
+        Raises:
+            SceneError: there is no body.
+            BodyError: the vertices do not belong to it.
+        """
+        if self.scene.body is None:
+            raise SceneError("move_body: the scene has no body; build one with a body")
+        motion = BodyMotion(self.scene.body, vertices, duration, max_speed)
+        self._body_motion = None if motion.done else motion
+        self._contact_settings = self._contact_settings._replace(body_velocity=motion.velocity)
+        self._search_contacts()
+        self._wake()
+
+    @property
+    def body_moves(self) -> bool:
+        """Whether the body is on its way."""
+        return self._body_motion is not None
+
+    def _wake(self) -> None:
+        self.settled = False
+        if self.phase == REST:
+            self.phase = DRAPING
+        self._open_window()
+
+    def _advance_body(self, elapsed: float) -> None:
+        assert self._body_motion is not None
+        assert self.model.contact is not None
+        assert self.model.contact.body is not None
+        body = self._body_motion.advance(elapsed)
+        self.scene = self.model.scene = replace(self.scene, body=body)
+        self.model.contact.body.body = body
+        self._contact_settings = self._contact_settings._replace(
+            body_vertices=body.vertices, body_velocity=self._body_motion.velocity
+        )
+        if self._body_motion.done:
+            self._body_motion = None
 
     def _run(self, count: int, last_time: float = math.inf) -> None:
         began = time.perf_counter()
@@ -218,16 +304,26 @@ class Simulation:
         dt = self._dt if last_time == math.inf else min(self._dt, (last_time - self.time) / count)
         settings = self.scene.settings
         while done < count:
-            openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
+            motion, steps = self._body_motion, self.grasps.steps(count - done)
+            if motion is not None:
+                steps = motion.steps(dt, steps)
             step = min(dt, self._flight_step)
             self._rescale_impulses(step)
+            if self.grasps:
+                self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * step)
+            openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
             did = run_steps(
                 self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
-                count - done, openness, 1.0 / settings.closing_time,
+                steps, openness, 1.0 / settings.closing_time,
             )  # fmt: skip
             done += did
             self.time += did * step
-            if done < count and self.model.contact is not None:
+            self.grasps.advance(did / steps)
+            if motion is not None:
+                self._check_finite(good_x, good_v)
+                self._advance_body(did * step)
+                self._search_contacts()
+            elif did < steps and self.model.contact is not None:
                 self._check_finite(good_x, good_v)
                 self._search_contacts()
         self._check_finite(good_x, good_v)
@@ -269,11 +365,14 @@ class Simulation:
         weight = garment.particle_areas
         self._x = model.gather(unsewn_x, weight)
         self._v = model.gather(unsewn_v, weight)
+        self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
         self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         model.soften(softness)
         self._contact_settings = model.contact_settings()
+        if self._body_motion is not None:
+            self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
         self._stable = model.stable_step(self._x, self._air_drag())
         self._contacts = ContactState.none()
         self._flight_step = math.inf
@@ -310,6 +409,8 @@ class Simulation:
         reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, _MOST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
+        if self._body_motion is not None:
+            self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
         # What may be left of a way when it counts as not yet spent is enough for one more step: nothing is stopped.
         room = (1.0 - SPENT) * self._contacts.travel
         room = np.maximum(room, _LEAST_ROOM * self.scene.settings.cloth_offset)
@@ -433,6 +534,8 @@ class Simulation:
     def _unsupported(self) -> str | None:
         scene = self.model.scene
         if self.phase == SEWING or not any(scene.gravity):
+            return None
+        if self.grasps:
             return None
         if scene.body is None and len(scene.pins) == 0:
             return "nothing supports the garment: there is neither a body nor a pin"

@@ -17,6 +17,7 @@ from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
 from cloth_core.runs import Runs, find_runs
+from cloth_core.unique_rows import unique_rows
 
 __all__ = ["SpringFamily", "Springs", "build_springs", "spring_forces", "spring_strains"]
 
@@ -147,8 +148,7 @@ def _opposite_corners(garment: Garment) -> Ints:
 def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np.integer]) -> Springs:
     ordered = np.sort(pairs, axis=1)
     bending = np.asarray(family) == SpringFamily.BENDING  # a bending spring stays one, whatever it lies beside
-    key, inverse = np.unique(np.column_stack([ordered, bending]), axis=0, return_inverse=True)
-    inverse = inverse.ravel()
+    key, _, inverse, _ = unique_rows(np.column_stack([ordered, bending]))
     k = np.bincount(inverse, weights=stiffness, minlength=len(key)).astype(np.float64)
     weighted = np.bincount(inverse, weights=stiffness * length, minlength=len(key))
     plain = np.bincount(inverse, weights=length, minlength=len(key)) / np.bincount(inverse, minlength=len(key))

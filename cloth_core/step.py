@@ -1,7 +1,7 @@
 """One time step: forces of the terms that the scene has, equation 6, contact; many steps in one compiled loop.
 
-The state has a row for each particle, (n, 3): that is what contact wants, which looks at particles here and there. Forces
-run along the rows of the lattice and want a row for each axis, (3, n): they work on a copy in that layout.
+The state has a row for each particle, (n, 3): that is what contact wants, which looks at particles here and there.
+Forces run along the rows of the lattice and want a row for each axis, (3, n): they work on a copy in that layout.
 """
 
 from __future__ import annotations

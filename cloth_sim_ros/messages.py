@@ -27,6 +27,7 @@ __all__ = [
     "decode_marker",
     "decode_mesh",
     "decode_string",
+    "encode_clock",
     "encode_diagnostics",
     "encode_mesh",
     "encode_string",
@@ -234,6 +235,15 @@ def decode_marker(data: bytes) -> TriangleMarker:
         raise CdrError(f"marker message: {count} points do not make triangles; send three for each")
     points = reader.array("<f8", 3 * count, f"points[{count}]").astype(np.float64).reshape(-1, 3)
     return TriangleMarker(stamp, frame_id, namespace, identifier, (red, green, blue, alpha), points)
+
+
+def encode_clock(stamp: int) -> bytes:
+    """`rosgraph_msgs/Clock` at `stamp` [ns since 1970]."""
+    writer = CdrWriter()
+    seconds, nanoseconds = divmod(stamp, NANOSECONDS)
+    writer.int32(seconds)
+    writer.uint32(nanoseconds)
+    return writer.to_bytes()
 
 
 def encode_diagnostics(stamp: int, statuses: Sequence[Status]) -> bytes:

@@ -1,33 +1,50 @@
 """The ROS 2 node: topics, services and parameters around a `SimulationWorker`."""
 
+import gc
 import json
+import os
+import re
 import signal
 import sys
+from array import array
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import rclpy
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
-from cloth_core.errors import ClothError, PatternError
+from cloth_core.errors import ClothError, PatternError, SceneError
+from cloth_core.grasp import Pose
 from cloth_core.pattern import MAX_TEXT_BYTES
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
-from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
+from cloth_sim_ros.simulation_services import SimulationServices, import_types
+from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
 from cloth_sim_ros.worker import SimulationWorker
 
 __all__ = ["ClothSimNode", "main"]
 
 DIAGNOSTICS_PERIOD = 1.0
 """Wall-clock time between two diagnostics [s]."""
+POLL_PERIOD = 0.01
+"""Between two looks at whether steps that were asked for are done [s]."""
+QUIT_DELAY = 0.2
+"""Between the answer to a request to quit and the end [s]."""
 SWITCH_INTERVAL = 0.001
 """Longest that a thread keeps the interpreter when others wait [s]."""
 
@@ -40,12 +57,17 @@ def main(args: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, lambda *_: None)
     # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
     sys.setswitchinterval(SWITCH_INTERVAL)
+    # Otherwise whoever publishes sends by itself, and waits for a slow reliable subscriber with all threads of Python.
+    os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
     rclpy.init(args=args)
     try:
         node = ClothSimNode()
     except (ClothError, ParameterException) as error:
         rclpy.shutdown()
         sys.exit(f"cloth_sim_node: {error}")
+    # What has been imported stays: a full collection need not look at it, which would halt all threads for 0.1 s.
+    gc.collect()
+    gc.freeze()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
@@ -58,7 +80,11 @@ def main(args: list[str] | None = None) -> None:
 
 
 def _descriptor(parameter: NodeParameter) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=parameter.description, additional_constraints=parameter.constraints)
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        additional_constraints=parameter.constraints,
+        read_only=parameter.read_only,
+    )
     if parameter.lowest is not None and parameter.highest is not None:
         if isinstance(parameter.default, float):
             float_range = FloatingPointRange(from_value=parameter.lowest, to_value=parameter.highest)
@@ -86,7 +112,8 @@ class ClothSimNode(Node):
         )
         self._create_subscriptions()
         self._create_services()
-        self.create_timer(DIAGNOSTICS_PERIOD, self._worker.diagnose)
+        # By the wall clock, also where use_sim_time is set and time stands still.
+        self.create_timer(DIAGNOSTICS_PERIOD, self._worker.diagnose, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._load_builtins({name: values[name] for name in ("body", "pattern")})
 
     def close(self) -> None:
@@ -110,7 +137,7 @@ class ClothSimNode(Node):
 
     def _create_publishers(self) -> None:
         self._publishers_of: dict[Topic, Publisher] = {}
-        for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS):
+        for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS, CLOCK):
             message_class = MESSAGE_CLASSES[topic.message_type]
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             self._publishers_of[topic] = self.create_publisher(message_class, name, qos_profile(topic.qos))
@@ -119,6 +146,11 @@ class ClothSimNode(Node):
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
             message_class = MESSAGE_CLASSES[topic.message_type]
             self.create_subscription(message_class, f"~/{topic.name}", callback, qos_profile(topic.qos), raw=True)
+        for name in self._values["grippers"]:
+            # Only the last pose counts, so that a stream of them may be sent as sensors do, with best effort.
+            self.create_subscription(
+                PoseStamped, f"~/{name}/pose", partial(self._on_gripper_pose, name), qos_profile_sensor_data
+            )
 
     def _create_services(self) -> None:
         worker = self._worker
@@ -129,11 +161,53 @@ class ClothSimNode(Node):
             "step": worker.step,
             "drape": worker.drape,
             "save": worker.save,
-            "describe": lambda: json.dumps(worker.describe()),
+            "describe": lambda: json.dumps(self._describe()),
         }
+        for name in self._values["grippers"]:
+            commands[f"{name}/grasp"] = partial(worker.grasp, name)
+            commands[f"{name}/release"] = partial(worker.release, name)
         for name, command in commands.items():
             self.create_service(Trigger, f"~/{name}", self._trigger(command))
         self.create_service(SetBool, "~/record", self._on_record)
+        types = import_types()
+        if types is not None:
+            self._create_simulation_services(types)
+
+    def _create_simulation_services(self, types: Any) -> None:
+        services = SimulationServices(self._worker, types, self._quit_soon)
+
+        async def step(request: Any, response: Any) -> Any:
+            if services.begin_steps(request, response):
+                await self._once(services.steps_are_done)
+            return response
+
+        for kind, callback in (
+            (types.GetSimulatorFeatures, services.get_simulator_features),
+            (types.GetSimulationState, services.get_simulation_state),
+            (types.SetSimulationState, services.set_simulation_state),
+            (types.ResetSimulation, services.reset_simulation),
+            (types.StepSimulation, step),
+        ):
+            name = re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()
+            # A callback that waits locks its group, and must not lock that of all others.
+            self.create_service(kind, f"~/{name}", callback, callback_group=ReentrantCallbackGroup())
+
+    def _once(self, condition: Callable[[], bool]) -> Future:
+        """Done once the condition holds."""
+        future = Future()
+        timer = self.create_timer(
+            POLL_PERIOD,
+            lambda: condition() and not future.done() and (timer.cancel(), future.set_result(None)),
+            callback_group=ReentrantCallbackGroup(),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        future.add_done_callback(lambda _: self.destroy_timer(timer))
+        return future
+
+    def _quit_soon(self) -> None:
+        """Ends the context once the answer to the request for it has been sent."""
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(QUIT_DELAY, lambda: self.context.try_shutdown(), clock=clock)
 
     # -- callbacks -----------------------------------------------------------------------------------------------------
 
@@ -150,6 +224,21 @@ class ClothSimNode(Node):
             self._worker.load_body(*decode_mesh(data, self._values["max_triangles"]))
         except ClothError as error:
             self._worker.refuse(f"body refused: {error}")
+
+    def _on_gripper_pose(self, name: str, message: Any) -> None:
+        frame_id, expected = message.header.frame_id, self._values["frame_id"]
+        try:
+            if frame_id not in ("", expected):
+                raise SceneError(f"its frame is '{frame_id}', not '{expected}'; transform it before it is sent")
+            p, q = message.pose.position, message.pose.orientation
+            self._worker.move_gripper(name, Pose.of((p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
+        except ClothError as error:
+            self._worker.refuse(f"{name}/pose refused: {error}")
+
+    def _describe(self) -> dict[str, Any]:
+        values = {name: list(value) if isinstance(value, array) else value for name, value in self._values.items()}
+        table = {parameter.name: parameter.to_dict(values[parameter.name]) for parameter in PARAMETERS}
+        return {**self._worker.describe(), "node_parameters": table}
 
     def _trigger(self, command: Callable[[], str]) -> Callable[[Any, Any], Any]:
         return lambda _, response: self._answer(command, response)

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
+from cloth_sim_ros.background_log import BackgroundLog
 from cloth_sim_ros.log_writer import LogError, LogWriter
 from cloth_sim_ros.topics import GARMENT, Topic
 
@@ -35,7 +36,7 @@ class Outlet:
         self._listener = listener
         self._node_name = node_name
         self._lock = threading.Lock()
-        self._log: LogWriter | None = None
+        self._log: BackgroundLog | None = None
         self._log_failure = ""
         self._latched: dict[Topic, bytes] = {}
         self._last_stamp = 0
@@ -50,6 +51,11 @@ class Outlet:
     def log_failure(self) -> str:
         """Why the last log ended by itself, in one line; empty if it did not, or once another one has been started."""
         return self._log_failure
+
+    @property
+    def last_stamp(self) -> int:
+        """Time of the last message [ns since 1970]; now, if there is none."""
+        return self._last_stamp or time.time_ns()
 
     def next_start(self) -> int:
         """Stamp [ns since 1970] at which another run can start: now, but after all that has been sent."""
@@ -69,13 +75,9 @@ class Outlet:
             self._last_stamp = stamp or self._last_stamp or time.time_ns()
             if topic.qos.latched:
                 self._latched[topic] = data if latched is None else latched
-            if self._log is not None:
-                try:
-                    self._log.write(topic, self._last_stamp, data)
-                except LogError as error:
-                    self._log = None
-                    self._log_failure = f"recording stopped: {error}"
-                    self._listener.warn(self._log_failure)
+            log = self._log
+            if log is not None:
+                log.write(topic, self._last_stamp, data)
         self._listener.send(topic, data)
 
     def forget(self, topic: Topic) -> None:
@@ -92,7 +94,7 @@ class Outlet:
         with self._lock:
             if self._log is not None:
                 raise LogError(f"record: {self._log.path} is being recorded; stop that first")
-            log = LogWriter(path, self._node_name)
+            log = BackgroundLog(LogWriter(path, self._node_name), self._on_log_failed)
             for topic, data in self._latched.items():
                 if topic != GARMENT:
                     log.write(topic, self._last_stamp, data)
@@ -106,7 +108,14 @@ class Outlet:
         """
         with self._lock:
             log, self._log = self._log, None
-            if log is None:
-                raise LogError(f"record: nothing is being recorded; {self._log_failure or 'start a recording first'}")
-            log.close()
-            return log.path
+        if log is None:
+            raise LogError(f"record: nothing is being recorded; {self._log_failure or 'start a recording first'}")
+        log.close()
+        return log.path
+
+    def _on_log_failed(self, log: BackgroundLog, error: LogError) -> None:
+        """Called by the log's thread; no lock is held, since whoever has it may be waiting for that thread."""
+        if self._log is log:
+            self._log = None
+            self._log_failure = f"recording stopped: {error}"
+            self._listener.warn(self._log_failure)

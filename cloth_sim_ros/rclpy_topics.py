@@ -5,6 +5,7 @@ from typing import Any
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from shape_msgs.msg import Mesh
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker
@@ -17,6 +18,7 @@ MESSAGE_CLASSES: dict[str, type[Any]] = {
     "std_msgs/msg/String": String,
     "shape_msgs/msg/Mesh": Mesh,
     "visualization_msgs/msg/Marker": Marker,
+    "rosgraph_msgs/msg/Clock": Clock,
     "diagnostic_msgs/msg/DiagnosticArray": DiagnosticArray,
 }
 

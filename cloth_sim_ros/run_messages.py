@@ -46,6 +46,8 @@ class RunMessages:
         """Marker of the garment with positions [m], (n, 3), and triangles (m, 3) at `simulated_time` [s]."""
         return self._garment.encode(self.stamp(simulated_time), positions, triangles)
 
-    def body(self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> bytes:
-        """Marker of the body; it does not move, so its stamp is the start of the run."""
-        return self._body.encode(self.start, vertices, triangles)
+    def body(
+        self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], simulated_time: float = 0.0
+    ) -> bytes:
+        """Marker of the body with vertices [m], (n, 3), and triangles (m, 3) at `simulated_time` [s]."""
+        return self._body.encode(self.stamp(simulated_time), vertices, triangles)

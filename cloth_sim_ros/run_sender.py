@@ -36,6 +36,7 @@ class RunSender:
         )
         self._sent_time: float | None = None
         self._sent_schedule: tuple[Motion, ...] | None = None
+        self._sent_body = inputs.body.body if inputs.body is not None else None
 
     def body(self) -> None:
         """Sends the body and its marker, if there is one."""
@@ -76,8 +77,22 @@ class RunSender:
         simulation = run.simulation
         self._schedule(run)
         self._sent_time = simulation.time
+        stamp = self._messages.stamp(simulation.time)
+        body = simulation.scene.body
+        if body is not None and body is not self._sent_body:
+            self._sent_body = body
+            marker = self._messages.body(body.vertices, body.triangles, simulation.time)
+            self._outlet.send(BODY_MARKER, marker, stamp)
         data = self._messages.garment(simulation.time, simulation.positions, simulation.triangles)
-        self._outlet.send(GARMENT, data, self._messages.stamp(simulation.time))
+        self._outlet.send(GARMENT, data, stamp)
+
+    def moved_body(self, run: Run, message: bytes) -> None:
+        """Logs a `shape_msgs/Mesh` to which the body is to move from now on."""
+        self._outlet.send(BODY, message, self._messages.stamp(run.simulation.time))
+
+    def stamp(self, run: Run) -> int:
+        """Time of the run [ns since 1970], as in the header of a frame sent now."""
+        return self._messages.stamp(run.simulation.time)
 
     def report(self, run: Run, report: Report) -> None:
         """Sends a report of the garment as it is."""

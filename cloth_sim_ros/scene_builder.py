@@ -1,5 +1,6 @@
 """Turns patterns and bodies into runs, in a thread of its own: meshing a garment takes seconds."""
 
+import gc
 import threading
 import traceback
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from typing import Any
 from cloth_core.errors import ClothError
 from cloth_core.report import Report
 from cloth_core.scene import Scene
-from cloth_sim_ros.scene_inputs import Limits, SceneInputs, SceneParameters, build_scene
+from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters, build_scene
 from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 
 __all__ = ["Change", "Run", "SceneBuilder"]
@@ -58,6 +59,7 @@ class SceneBuilder:
         self._closing = False
         self._changes: dict[str, Change] = {}
         self._rebuild = False
+        self._busy = False
         self._busy_with_garment = False
         self._inputs = SceneInputs(parameters=parameters)
         self._present: Run | None = None
@@ -75,6 +77,20 @@ class SceneBuilder:
         with self._wake:
             self._changes[kind] = change
             self._wake.notify()
+
+    def body_has_moved(self, find: Callable[[ReceivedBody], ReceivedBody | None]) -> ReceivedBody | None:
+        """Replaces the body of the present run by what `find` makes of it, without another run.
+
+        None, and nothing done, if `find` says so, there is no body, or another scene is being built or waits to be.
+        """
+        with self._wake:
+            before, present = self._inputs.body, self._present
+            if before is None or present is None or self._busy or self._changes or self._rebuild:
+                return None
+            moved = find(before)
+            if moved is not None:
+                self._inputs = replace(self._inputs, body=moved)
+            return moved
 
     def rebuild(self) -> None:
         """Asks for the present garment at its start, with the parameters as they are then."""
@@ -97,10 +113,11 @@ class SceneBuilder:
                     return
                 changes, self._changes = self._changes, {}
                 self._rebuild = False
+                self._busy = True
                 self._busy_with_garment = self._inputs.pattern is not None or "pattern" in changes
             refusals = self._accept(list(changes.items()))
             with self._wake:
-                self._busy_with_garment = False
+                self._busy = self._busy_with_garment = False
             for line in refusals:
                 self._refused(line)
 
@@ -116,6 +133,9 @@ class SceneBuilder:
             if len(changes) > 1:
                 return [line for change in changes for line in self._accept([change])]
             return [_line(error, changes[0][0] if changes else "reset")]
+        if self._present is None and run is not None:
+            # The first scene has imported and compiled what all others use; it stays, as what the node has imported.
+            gc.freeze()
         self._inputs, self._present = inputs, run
         self._accepted(inputs, run)
         return []

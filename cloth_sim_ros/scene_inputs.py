@@ -9,6 +9,7 @@ from cloth_core.body import Body
 from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
+from cloth_core.moving_body import with_vertices
 from cloth_core.pattern import Pattern
 from cloth_core.quality import Settings, settings_for
 from cloth_core.scene import Scene
@@ -75,6 +76,8 @@ class ReceivedBody:
     body: Body
     message: bytes
     """`shape_msgs/Mesh` as it came in, before any repair."""
+    triangles: npt.NDArray[np.int32]
+    """As they came in, (m, 3)."""
 
     @classmethod
     def from_arrays(
@@ -85,7 +88,7 @@ class ReceivedBody:
         Raises:
             BodyError: the mesh cannot be used.
         """
-        return cls(Body.from_arrays(vertices, triangles, name), encode_mesh(vertices, triangles))
+        return cls(Body.from_arrays(vertices, triangles, name), encode_mesh(vertices, triangles), triangles)
 
     @classmethod
     def builtin(cls, name: str) -> "ReceivedBody":
@@ -95,7 +98,14 @@ class ReceivedBody:
             BodyError: there is none of that name.
         """
         body = Body.load(name)
-        return cls(body, encode_mesh(body.vertices, body.triangles))
+        return cls(body, encode_mesh(body.vertices, body.triangles), body.triangles)
+
+    def moved(self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> "ReceivedBody | None":
+        """The same body elsewhere, if these vertices [m], (n, 3), and triangles (m, 3) are that; else None."""
+        same = len(vertices) == len(self.body.vertices) and np.array_equal(triangles, self.triangles)
+        if not (same and np.isfinite(vertices).all()):
+            return None
+        return ReceivedBody(with_vertices(self.body, vertices), encode_mesh(vertices, triangles), self.triangles)
 
 
 @dataclass(frozen=True, eq=False)

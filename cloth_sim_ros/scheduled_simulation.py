@@ -11,7 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cloth_core.errors import ClothError, SimulationError
+from cloth_core.grasp import Pose
 from cloth_core.report import Report
 from cloth_core.scene import Scene
 from cloth_core.simulation import OnTick, Simulation
@@ -78,6 +82,16 @@ class ScheduledSimulation(Simulation):
             return super().settle(on_tick)
         finally:
             self._within_motion = False
+
+    def grasp(self, name: str, particles: NDArray[np.int32], pose: Pose) -> int:
+        """As of `Simulation`."""
+        self.acted_upon("a gripper")
+        return super().grasp(name, particles, pose)
+
+    def move_body(self, vertices: NDArray[np.float64], duration: float, max_speed: float = math.inf) -> None:
+        """As of `Simulation`."""
+        self.acted_upon("a moving body")
+        super().move_body(vertices, duration, max_speed)
 
     def acted_upon(self, what: str) -> None:
         """Notes that something is about to act on the simulation of which the schedule knows no more than its name."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 __all__ = [
     "BODY",
     "BODY_MARKER",
+    "CLOCK",
     "DEFAULT_NODE_NAME",
     "DIAGNOSTICS",
     "GARMENT",
@@ -73,4 +74,5 @@ SCHEDULE = Topic("schedule", "std_msgs/msg/String", LATCHED)
 GARMENT = Topic("garment", "visualization_msgs/msg/Marker", LATCHED)
 BODY_MARKER = Topic("body_marker", "visualization_msgs/msg/Marker", LATCHED)
 REPORT = Topic("report", "std_msgs/msg/String", LATCHED)
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", VOLATILE)
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", VOLATILE)

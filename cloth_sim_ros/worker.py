@@ -16,21 +16,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cloth_core.errors import ClothError, SceneError
+from cloth_core.errors import ClothError, SceneError, SimulationError
+from cloth_core.grasp import Pose
 from cloth_core.mesh_files import write_file, write_mesh
 from cloth_core.pattern import Pattern
 from cloth_core.report import Report
 from cloth_core.simulation import Progress
 from cloth_core.springs import spring_strains
 from cloth_sim_ros.diagnostics import run_status
+from cloth_sim_ros.grippers import Grippers, particles_near
 from cloth_sim_ros.log_writer import LogError
-from cloth_sim_ros.messages import Level, encode_diagnostics
+from cloth_sim_ros.messages import Level, encode_clock, encode_diagnostics
 from cloth_sim_ros.outlet import Listener, Outlet
 from cloth_sim_ros.output_files import claim_path
+from cloth_sim_ros.pacing import RealTimePace
 from cloth_sim_ros.run_sender import RunSender
 from cloth_sim_ros.scene_builder import Run, SceneBuilder
 from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters
-from cloth_sim_ros.topics import DEFAULT_NODE_NAME, DIAGNOSTICS
+from cloth_sim_ros.topics import CLOCK, DEFAULT_NODE_NAME, DIAGNOSTICS
 
 __all__ = ["SimulationWorker", "WorkerSettings"]
 
@@ -38,6 +41,8 @@ CLOSE_TIMEOUT = 5.0
 """How long closing waits for each thread [s]."""
 STRAIN_INTERVAL = 1.0
 """Wall-clock time between two measurements of the strain while the garment moves [s]."""
+CLOCK_INTERVAL = 0.01
+"""Wall-clock time between two messages on /clock while the garment moves [s]."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +50,32 @@ class WorkerSettings:
     """Values that act at once."""
 
     publish_rate: float = 30.0
-    """Frames per second of wall-clock time while the garment moves [Hz]; a step is 1 / publish_rate simulated."""
+    """Frames per second of wall-clock time while the garment moves [Hz]."""
     auto_start: bool = False
     """Start a new garment by itself."""
+    paused: bool = False
+    """Hold the garment still, whatever was asked for."""
+    real_time_factor: float = 0.0
+    """Most simulated per wall-clock time; 0 is as fast as possible."""
+    step_duration: float = 0.0
+    """Simulated time of a step [s]; 0 is 1 / publish_rate."""
+    publish_clock: bool = False
+    """Send the time of the run."""
+    grasp_radius: float = 0.03
+    """A gripper takes the particles that are not farther from it [m]."""
+    grasp_speed: float = 1.0
+    """No held particle is moved faster [m/s]."""
+    body_move_duration: float = 0.1
+    """Simulated time in which a body that comes again gets to its new place [s]; 0 lets the garment start again."""
+    body_speed: float = 2.0
+    """No vertex of the body is moved faster [m/s]."""
     record_directory: str = "cloth_sim_records"
     limits: Limits = field(default_factory=Limits)
+
+    @property
+    def step(self) -> float:
+        """Simulated time of one step [s]."""
+        return self.step_duration or 1.0 / self.publish_rate
 
 
 class _Mode(Enum):
@@ -93,17 +119,24 @@ class SimulationWorker:
         self._next_run: Run | None = None
         self._resetting = False
         self._tasks: deque[Callable[[Run], None]] = deque()
+        self._steps = 1
+        self._rested = False
+        """Whether the run has paused by itself at rest; what acts from outside lets it go on."""
+        self._grippers = Grippers()
 
         # Replaced whole by one thread, read by others without a lock.
         self._progress: Progress | None = None
         self._largest_strain: float | None = None
         self._refusal = ""
         self._failure = ""
+        self._positions = np.zeros((0, 3))
 
         # Used by the simulation thread alone.
         self._sender: RunSender | None = None
         self._next_frame = 0.0
         self._next_strain = 0.0
+        self._next_clock = 0.0
+        self._pace = RealTimePace()
         self._builder = SceneBuilder(
             parameters or SceneParameters(), self._settings.limits, self._on_accepted, self._on_refused
         )
@@ -119,7 +152,12 @@ class SimulationWorker:
     def load_body(
         self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], name: str = "body"
     ) -> None:
-        """Takes a body, vertices [m] (n, 3), triangles (m, 3); the garment starts again around it."""
+        """Takes a body, vertices [m] (n, 3), triangles (m, 3).
+
+        The garment starts again around it; if it is on a body of the same triangles already, that body moves instead.
+        """
+        if self._move_body(vertices, triangles):
+            return
         self._builder.request(
             "body", lambda inputs: replace(inputs, body=ReceivedBody.from_arrays(vertices, triangles, name))
         )
@@ -141,7 +179,9 @@ class SimulationWorker:
         """Takes parameters for the next pattern, body or reset, and settings for at once."""
         self._builder.parameters = parameters
         self._builder.limits = settings.limits
-        self._settings = settings
+        with self._wake:
+            self._settings = settings
+            self._wake.notify_all()
 
     def start(self) -> str:
         """Lets the garment move, until it is at rest or something else is asked for."""
@@ -158,11 +198,13 @@ class SimulationWorker:
                 self._builder.rebuild()
             return self._set_mode(_Mode.DRAPE, "draping; the report follows at rest")
 
-    def step(self) -> str:
-        """Moves the garment by one frame, 1 / publish_rate of simulated time, and pauses."""
+    def step(self, count: int = 1) -> str:
+        """Moves the garment by `count` steps of `step_duration` and pauses."""
         with self._wake:
             self._need_unfinished_run("step")
-            return self._set_mode(_Mode.STEP, f"one step of {1.0 / self._settings.publish_rate:.4g} s")
+            self._steps = count
+            steps = "one step" if count == 1 else f"{count} steps"
+            return self._set_mode(_Mode.STEP, f"{steps} of {self._settings.step:.4g} s")
 
     def pause(self) -> str:
         """Halts the garment where it is."""
@@ -176,6 +218,35 @@ class SimulationWorker:
             self._resetting = True
             self._builder.rebuild()
             return self._set_mode(_Mode.PAUSED, "back at the start, paused")
+
+    def move_gripper(self, name: str, pose: Pose) -> None:
+        """Says where a gripper is; what it holds follows."""
+        if not self._grippers.set_pose(name, pose):
+            return
+        with self._wake:
+            if self._rested and self._run is not None and name in self._run.simulation.grasps:
+                self._add_task(lambda _: None)  # so that the simulation thread looks
+                self._resume()
+
+    def grasp(self, name: str) -> str:
+        """Holds the particles around a gripper from now on."""
+        pose = self._grippers.pose(name)
+        with self._wake:
+            run = self._run_for("grasp")
+            if name in run.simulation.grasps:
+                raise SceneError(f"{name}: it holds cloth already; release it first")
+            chosen = particles_near(name, pose, self._positions, self._settings.grasp_radius)
+            self._add_task(lambda current: self._act_on(run, current, lambda: run.simulation.grasp(name, chosen, pose)))
+        return f"{name} holds {len(chosen)} particles"
+
+    def release(self, name: str) -> str:
+        """Lets go of what a gripper holds."""
+        with self._wake:
+            run = self._run_for("release")
+            if name not in run.simulation.grasps:
+                raise SceneError(f"{name}: it holds nothing; grasp first")
+            self._add_task(lambda current: self._act_on(run, current, lambda: run.simulation.release(name)))
+        return f"{name} holds nothing"
 
     def save(self) -> str:
         """Writes the garment (GLB) and its report (JSON) into the record directory, and sends the report."""
@@ -209,6 +280,9 @@ class SimulationWorker:
             "scene": None if run is None else run.description,
             "progress": None if progress is None else asdict(progress),
             "largest_strain": self._largest_strain,
+            "grippers": {} if run is None else run.simulation.grasps.describe(),
+            "body_moves": run is not None and run.simulation.body_moves,
+            "stamp": self._outlet.last_stamp,
             "parameters": self._builder.parameters.to_dict(),
             "settings": asdict(self._settings),
             "recording": None if log_path is None else str(log_path),
@@ -240,6 +314,9 @@ class SimulationWorker:
         details["recording"] = self._outlet.log_path or "no"
         status = run_status(self._node_name, level, message, self._progress, details)
         self._outlet.send(DIAGNOSTICS, encode_diagnostics(time.time_ns(), [status]))
+        if self._settings.publish_clock:
+            # For those who have come late, while time stands still.
+            self._listener.send(CLOCK, encode_clock(self._outlet.last_stamp))
 
     def close(self) -> None:
         """Ends the threads and the log; to be called once."""
@@ -272,11 +349,32 @@ class SimulationWorker:
     def _is_over(self) -> bool:
         return self._run is not None and self._run.simulation.phase in ("rest", "failed")
 
+    def _run_for(self, command: str) -> Run:
+        """The run on which something from outside is to act."""
+        if self._run is None:
+            raise SceneError(f"{command}: there is no garment yet; publish a pattern first")
+        if self._run.simulation.phase == "failed":
+            raise SimulationError(f"{command}: the run has failed; reset it first")
+        return self._run
+
+    def _resume(self) -> None:
+        """Lets a run that has paused by itself at rest go on."""
+        if self._rested and self._mode is _Mode.PAUSED:
+            self._mode = _Mode.MOTION
+        self._rested = False
+        self._wake.notify_all()
+
+    def _is_held(self, mode: _Mode) -> bool:
+        return self._settings.paused and mode in (_Mode.MOTION, _Mode.DRAPE)
+
     def _set_mode(self, mode: _Mode, answer: str) -> str:
         self._mode = mode
+        self._rested = False
         self._wake.notify_all()
         if self._is_building():
             return f"{answer}, once the garment is built"
+        if self._is_held(mode):
+            return f"{answer}, once the parameter paused is false"
         return f"{answer}; {self._refusal}" if self._refusal else answer
 
     def _add_task(self, task: Callable[[Run], None]) -> None:
@@ -288,12 +386,36 @@ class SimulationWorker:
             return "building"
         if self._run is None:
             return "waiting for a pattern"
-        return self._run.simulation.phase if self._is_over() else self._mode.value
+        if self._is_over():
+            return self._run.simulation.phase
+        return "paused" if self._is_held(self._mode) else self._mode.value
 
     def _claim(self, suffixes: tuple[str, ...], claim: Callable[[Path], object]) -> Path:
         run = self._run
         name = "cloth_sim" if run is None else run.scene.garment.name
         return claim_path(self._settings.record_directory, name, suffixes, claim)
+
+    def _move_body(self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> bool:
+        """Lets the present body move to these vertices; false if it is another body, or nothing has moved yet."""
+        duration, speed = self._settings.body_move_duration, self._settings.body_speed
+        with self._wake:
+            run = self._run
+            begun = run is not None and run.simulation.time > 0.0 and run.simulation.phase != "failed"
+        if run is None or duration <= 0.0 or not begun:
+            return False
+        moved = self._builder.body_has_moved(lambda body: body.moved(vertices, triangles))
+        if moved is None:
+            return False
+
+        def move() -> None:
+            run.simulation.move_body(moved.body.vertices, duration, speed)
+            if self._sender is not None:
+                self._sender.moved_body(run, moved.message)
+
+        with self._wake:
+            self._refusal = ""
+            self._add_task(lambda current: self._act_on(run, current, move))
+        return True
 
     # -- called by the builder, in its thread --------------------------------------------------------------------------
 
@@ -342,18 +464,20 @@ class SimulationWorker:
                 self._run, self._next_run = run, None
                 if self._settings.auto_start and self._mode is _Mode.PAUSED:
                     self._mode = _Mode.MOTION
-            return _Mode.PAUSED if self._resetting else self._mode
+            return _Mode.PAUSED if self._resetting or self._is_held(self._mode) else self._mode
 
     def _has_work(self) -> bool:
         if self._run is None:
             return False
-        return bool(self._tasks) or not (self._mode is _Mode.PAUSED or self._resetting or self._is_over())
+        still = self._mode is _Mode.PAUSED or self._is_held(self._mode)
+        return bool(self._tasks) or not (still or self._resetting or self._is_over())
 
     def _begin(self, run: Run) -> None:
         self._failure = ""
         self._sender = RunSender(run.inputs, self._outlet)
         self._sender.begin(run)
         self._next_strain = 0.0
+        self._send_clock(run)
         self._take_snapshot(run)
         for warning in run.scene.warnings:
             self._listener.inform(warning)
@@ -364,11 +488,12 @@ class SimulationWorker:
         """Does what the mode asks for until something else is to be done, and the tasks that have come up."""
         simulation = run.simulation
         report = None
+        self._pace.restart()
         interrupted = self._between_ticks(run, mode)
         if interrupted or mode is _Mode.PAUSED:
             pass
         elif mode is _Mode.STEP:
-            simulation.advance(1.0 / self._settings.publish_rate, lambda _: self._between_ticks(run, mode))
+            simulation.advance(self._steps * self._settings.step, lambda _: self._between_ticks(run, mode))
             self._pause_after(mode)
         elif mode is _Mode.DRAPE:
             report = simulation.settle(lambda _: self._between_ticks(run, mode))
@@ -380,16 +505,18 @@ class SimulationWorker:
             report = simulation.report() if simulation.settled else None
         self._take_snapshot(run)
         self._send_last_frame(run)
+        self._send_clock(run)
         if report is not None and not interrupted:
-            self._pause_after(mode)
+            self._pause_after(mode, rested=simulation.settled)
             self._send_report(run, report)
             self._listener.inform(f"the run ended after {simulation.time:.3g} s: {report.rest_reason}")
 
-    def _pause_after(self, mode: _Mode) -> None:
+    def _pause_after(self, mode: _Mode, rested: bool = False) -> None:
         """Pauses, unless another command has come in meanwhile."""
         with self._wake:
             if self._mode is mode:
                 self._mode = _Mode.PAUSED
+                self._rested = rested
 
     def _between_ticks(self, run: Run, mode: _Mode) -> bool:
         """Sends and measures what is due and does the tasks; true if the present motion is to end."""
@@ -397,19 +524,48 @@ class SimulationWorker:
         if now >= self._next_frame and self._outlet.wants_frames():
             self._next_frame = now + 1.0 / self._settings.publish_rate
             self._send_last_frame(run)
+        if now >= self._next_clock:
+            self._next_clock = now + CLOCK_INTERVAL
+            self._send_clock(run)
         self._take_snapshot(run)
         self._do_tasks(run)
         with self._wake:
-            return self._closing or self._next_run is not None or self._resetting or self._mode is not mode
+            if not self._has_news(mode):
+                delay = self._pace.delay(run.simulation.time, self._settings.real_time_factor)
+                self._wake.wait_for(lambda: self._tasks or self._has_news(mode), delay)
+            return self._has_news(mode)
+
+    def _has_news(self, mode: _Mode) -> bool:
+        """Whether the present motion is to end; _wake is held."""
+        changed = self._mode is not mode or self._is_held(mode)
+        return self._closing or self._next_run is not None or self._resetting or changed
 
     def _do_tasks(self, run: Run) -> None:
         with self._wake:
             tasks, self._tasks = self._tasks, deque()
+        run.simulation.grasps.max_speed = self._settings.grasp_speed
         for task in tasks:
             task(run)
+        for name, pose in self._grippers.take_moved().items():
+            if run.simulation.phase != "failed":
+                run.simulation.move_grasp(name, pose)
+
+    def _act_on(self, run: Run, current: Run, action: Callable[[], object]) -> None:
+        """Does something to a run, unless another one has taken its place, and lets it go on if it was at rest."""
+        if run is not current:
+            return
+        try:
+            action()
+        except ClothError as error:
+            self._listener.warn(str(error))
+            return
+        run.report = None
+        with self._wake:
+            self._resume()
 
     def _take_snapshot(self, run: Run) -> None:
         self._progress = run.simulation.progress
+        self._positions = run.simulation.positions
         now = time.monotonic()
         if now >= self._next_strain:
             self._next_strain = now + STRAIN_INTERVAL
@@ -443,6 +599,10 @@ class SimulationWorker:
     def _send_last_frame(self, run: Run) -> None:
         if self._sender is not None and self._sender.is_behind(run):
             self._sender.frame(run)
+
+    def _send_clock(self, run: Run) -> None:
+        if self._settings.publish_clock and self._sender is not None:
+            self._listener.send(CLOCK, encode_clock(self._sender.stamp(run)))
 
     def _send_report(self, run: Run, report: Report) -> None:
         if run.simulation.settled:

@@ -15,7 +15,13 @@ import pytest
 from catkin_pkg.package import parse_package
 
 ROOT = Path(__file__).parents[1]
-SHARED_FILES = ("package.xml", "launch/cloth_sim.launch.py", "config/cloth_sim.yaml", "rviz/cloth_sim.rviz")
+SHARED_FILES = (
+    "package.xml",
+    "launch/cloth_sim.launch.py",
+    "config/cloth_sim.yaml",
+    "rviz/cloth_sim.rviz",
+    "foxglove/cloth_sim.json",
+)
 PACKAGE_DATA = (
     "cloth_core/data/patterns/tshirt.json",
     "cloth_core/data/bodies/young.ply",

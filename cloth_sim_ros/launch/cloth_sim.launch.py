@@ -1,15 +1,21 @@
-"""Starts the simulator, with rviz2 on request: ``ros2 launch cloth_sim_ros cloth_sim.launch.py rviz:=true``."""
+"""Starts the simulator: ``ros2 launch cloth_sim_ros cloth_sim.launch.py rviz:=true``.
+
+Several side by side: give each a ``namespace``. To put the scene somewhere into the frames of a robot, name the frame
+to which it belongs, and where it is in that: ``parent_frame:=base_link x:=0.8 yaw:=1.57``.
+"""
 
 from pathlib import Path
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
 from launch_ros.actions import Node
 
 # Beside this file in the source tree, in share/ and in site-packages alike.
 PACKAGE = Path(__file__).parent.parent
+
+POSE = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -28,12 +34,20 @@ def generate_launch_description() -> LaunchDescription:
                 default_value=str(PACKAGE / "rviz" / "cloth_sim.rviz"),
                 description="View that rviz2 opens with",
             ),
+            DeclareLaunchArgument(
+                "parent_frame", default_value="", description="Frame in which frame_id stands still; empty for none"
+            ),
+            DeclareLaunchArgument("frame_id", default_value="map", description="The node's parameter frame_id"),
+            *(
+                DeclareLaunchArgument(name, default_value="0.0", description=f"Of frame_id in parent_frame [{unit}]")
+                for name, unit in POSE.items()
+            ),
             Node(
                 package="cloth_sim_ros",
                 executable="cloth_sim_node",
                 name="cloth_sim",
                 namespace=LaunchConfiguration("namespace"),
-                parameters=[LaunchConfiguration("params_file")],
+                parameters=[LaunchConfiguration("params_file"), {"frame_id": LaunchConfiguration("frame_id")}],
                 output="screen",
             ),
             Node(
@@ -42,6 +56,17 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=LaunchConfiguration("namespace"),
                 arguments=["-d", LaunchConfiguration("rviz_config")],
                 condition=IfCondition(LaunchConfiguration("rviz")),
+            ),
+            Node(
+                package="tf2_ros",
+                executable="static_transform_publisher",
+                namespace=LaunchConfiguration("namespace"),
+                arguments=[
+                    *(part for name in POSE for part in (f"--{name}", LaunchConfiguration(name))),
+                    *("--frame-id", LaunchConfiguration("parent_frame")),
+                    *("--child-frame-id", LaunchConfiguration("frame_id")),
+                ],
+                condition=IfCondition(NotEqualsSubstitution(LaunchConfiguration("parent_frame"), "")),
             ),
         ]
     )

@@ -243,8 +243,8 @@ def chain(count: int, mass: float, stiffness: float, length: float, **given: Any
 def no_contact() -> ContactSettings:
     """Nothing to collide with."""
     return ContactSettings(
-        active=False, body_vertices=np.zeros((0, 3)), body_triangles=np.zeros((0, 3), dtype=np.int32), offset=0.0,
-        friction=0.0, push_speed=0.0,
+        active=False, body_vertices=np.zeros((0, 3)), body_velocity=np.zeros((0, 3)),
+        body_triangles=np.zeros((0, 3), dtype=np.int32), offset=0.0, friction=0.0, push_speed=0.0,
     )  # fmt: skip
 
 

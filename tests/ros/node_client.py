@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
@@ -88,6 +89,7 @@ class Client:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._clients: dict[str, Any] = {}
+        self._poses: dict[str, Any] = {}
         self.pattern = self._node.create_publisher(String, f"{node_name}/pattern", LATCHED)
         self.body = self._node.create_publisher(Mesh, f"{node_name}/body", LATCHED)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
@@ -120,6 +122,20 @@ class Client:
         future = client.call_async(request or kind.Request())
         self.wait(future.done)
         return future.result()
+
+    def move_gripper(
+        self, name: str, position: Any, orientation: Any = (0.0, 0.0, 0.0, 1.0), frame_id: str = "map"
+    ) -> None:
+        """Publishes the pose of a gripper, once the node listens."""
+        if name not in self._poses:
+            self._poses[name] = self._node.create_publisher(PoseStamped, f"{self.node_name}/{name}/pose", 10)
+        self.wait(self._poses[name].get_subscription_count)
+        message = PoseStamped()
+        message.header.frame_id = frame_id
+        message.pose.position.x, message.pose.position.y, message.pose.position.z = map(float, position)
+        q = message.pose.orientation
+        q.x, q.y, q.z, q.w = map(float, orientation)
+        self._poses[name].publish(message)
 
     def record(self, on: bool) -> Any:
         """Answer of ~/record."""

@@ -237,7 +237,7 @@ def test_parameters_are_described(start_node, client):
     descriptors = client.describe_parameters([parameter.name for parameter in PARAMETERS])
     for parameter, descriptor in zip(PARAMETERS, descriptors, strict=True):
         assert len(descriptor.description) > 10
-        assert re.search(r"Acts (at once|with the next)", descriptor.description)
+        assert re.search(r"Acts (at once|with the next|at start)", descriptor.description)
         if isinstance(parameter.default, float):
             assert re.search(r"\[[^]]+\]", descriptor.description), "its unit"
         if isinstance(parameter.default, float | int) and not isinstance(parameter.default, bool):

@@ -1,5 +1,6 @@
 """Launch file, parameter file, view and message definitions fit the node and each other."""
 
+import json
 import runpy
 import sys
 from importlib import resources
@@ -13,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from cloth_sim_ros.messages import message_definition
 from cloth_sim_ros.node_parameters import PARAMETERS, check, scene_parameters, worker_settings
 from cloth_sim_ros.scene_inputs import SceneParameters
-from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PATTERN
+from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PATTERN, REPORT
 from cloth_sim_ros.worker import WorkerSettings
 
 PACKAGE = Path(str(resources.files("cloth_sim_ros")))
@@ -56,7 +57,7 @@ def test_launch_file_starts_the_node_with_files_that_exist(monkeypatch):
         "launch": ["LaunchDescription"],
         "launch.actions": ["DeclareLaunchArgument"],
         "launch.conditions": ["IfCondition"],
-        "launch.substitutions": ["LaunchConfiguration"],
+        "launch.substitutions": ["LaunchConfiguration", "NotEqualsSubstitution"],
         "launch_ros": [],
         "launch_ros.actions": ["Node"],
     }
@@ -70,11 +71,35 @@ def test_launch_file_starts_the_node_with_files_that_exist(monkeypatch):
     declared = {action.arguments[0]: action.options for action in actions if "default_value" in action.options}
     assert Path(declared["params_file"]["default_value"]).is_file()
     assert Path(declared["rviz_config"]["default_value"]).is_file()
-    simulator, viewer = (action.options for action in actions if "executable" in action.options)
+    simulator, viewer, transform = (action.options for action in actions if "executable" in action.options)
     assert (simulator["package"], simulator["executable"]) == ("cloth_sim_ros", "cloth_sim_node")
     assert viewer["condition"].arguments[0].arguments == ("rviz",)
-    used = [simulator["namespace"], *simulator["parameters"], viewer["arguments"][1]]
-    assert {value.arguments[0] for value in used} <= set(declared)
+    assert transform["arguments"][::2] == ["--x", "--y", "--z", "--yaw", "--frame-id", "--child-frame-id"]
+    assert transform["condition"].arguments[0].arguments[0].arguments == ("parent_frame",)
+    parameters_file, parameters = simulator["parameters"]
+    used = [simulator["namespace"], parameters_file, *parameters.values(), viewer["arguments"][1]]
+    used += transform["arguments"][1::2]
+    assert {value.arguments[0] for value in used} == set(declared) - {"rviz"}
+    # The frame of the view, of the parameter and of the transform are one.
+    assert declared["frame_id"]["default_value"] == SceneParameters().frame_id
+
+
+def test_foxglove_layout_shows_what_the_node_sends():
+    content = json.loads((PACKAGE / "foxglove" / "cloth_sim.json").read_text())
+    panels, waiting = set(), [content["layout"]]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, str):
+            panels.add(part)
+        else:
+            waiting += [part["first"], part["second"]]
+    assert panels == set(content["configById"])
+    view = next(config for name, config in content["configById"].items() if name.startswith("3D!"))
+    assert view["followTf"] == SceneParameters().frame_id
+    assert set(view["topics"]) == {topic.resolve() for topic in (BODY_MARKER, GARMENT)}
+    assert all(topic["visible"] for topic in view["topics"].values())
+    others = {config["topicPath"] for config in content["configById"].values() if "topicPath" in config}
+    assert others == {REPORT.resolve()}
 
 
 @pytest.mark.parametrize("topic", [PATTERN, BODY, GARMENT, DIAGNOSTICS])
