@@ -141,6 +141,21 @@ class Model:
         if self.seam_pull is not None:
             self.seam_pull = build_seam_pull(garment, fabric, garment.start, softness)
 
+    def even_out(self, evenly: bool) -> None:
+        """Give light particles on stiff springs more inertia, or give all of them their own again.
+
+        The lightest particles, at corners and outlines, limit the time step of all. Where only the resting shape is
+        looked for, inertia is free (dynamic relaxation): weight and stiffness stay as they are.
+        """
+        inertia = self.mass
+        if evenly:
+            stiffness = np.bincount(
+                self.springs.pairs.ravel(), weights=np.repeat(self.springs.stiffness, 2), minlength=len(self.mass)
+            )
+            inertia = np.maximum(self.mass, stiffness / np.median(stiffness / self.mass))
+        free = self.inverse_mass > 0.0
+        self.inverse_mass[free] = 1.0 / inertia[free]
+
     # -- arrays for the compiled loop --
 
     def force_terms(self, air_drag: float) -> ForceTerms:
