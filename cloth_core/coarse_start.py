@@ -1,9 +1,9 @@
 """A drape of a coarser mesh as the start of a finer one.
 
-The way to rest costs as much as spacing^-3: twice as fine is four times as many particles in steps half as long. Most of
-that way, sewing and falling into place, a mesh of twice the spacing goes as well; the fine one then only has to find its
-own folds. Each fine particle starts where the coarse cloth lies; seam points by their place along the seam, so that the
-two edges of a seam still meet.
+The way to rest costs as much as spacing^-3: twice as fine is four times as many particles in steps half as long. Most
+of that way, sewing and falling into place, a mesh of twice the spacing goes as well; the fine one then only has to find
+its own folds. Each fine particle starts where the coarse cloth lies; seam points by their place along the seam, so that
+the two edges of a seam still meet.
 """
 
 from __future__ import annotations

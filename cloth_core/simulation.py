@@ -234,7 +234,7 @@ class Simulation:
         self._seeking_rest = False
         self.model.soften(1.0)
         self.model.even_out(False)
-        self._refresh_time_step()
+        self._refresh_time_step(tolerance=2e-3)
         return self.report(reason)
 
     def _start_coarse(self, on_tick: OnTick | None) -> bool:
@@ -456,10 +456,10 @@ class Simulation:
         extra = self.scene.settings.settle_drag if self._seeking_rest or self.model.sewing else 0.0
         return max(self.model.scene.air_drag, extra)
 
-    def _refresh_time_step(self, estimate: bool = True) -> None:
+    def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
         drag = self._air_drag()
         if estimate:
-            self._stable = self.model.stable_step(self._x, drag, self._stable.mode, tolerance=1e-2)
+            self._stable = self.model.stable_step(self._x, drag, self._stable.mode, tolerance)
         self._terms = self.model.force_terms(drag)
         longest = self.model.longest_step(self._stable)
         wanted = self.scene.settings.time_step
