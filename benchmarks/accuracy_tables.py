@@ -86,9 +86,10 @@ def checked(check: dict[str, Any]) -> list[str]:
     """The held-back cases."""
     known = [case for case in check["cases"] if case["kept"] is not None]
     kept = sum(case["kept"] for case in known)
+    lost = len(check["cases"]) - len(known)
     lines = [
         f"{kept} of {len(known)} promises to held-back scenes were kept ({check['date'][:10]}, against "
-        f"{1000 * check['reference_spacing']:g} mm):",
+        f"{1000 * check['reference_spacing']:g} mm); {lost} more runs came to no rest and count neither way:",
         "",
         "| scene | spacing mm | promised mm | found mm | kept |",
         "|---|---|---|---|---|",

@@ -92,7 +92,11 @@ def calibrate(folder: Path, finest: float, spread_at: float, processes: int | No
     for k, recipe in enumerate(CALIBRATED):
         own = runs[k * each : (k + 1) * each]
         drapes, disturbed = own[: len(spacings) + 1], own[len(spacings) + 1 :]
-        facts = scene_facts(recipe, drapes, [drapes[spacings.index(spread_at)], *disturbed])
+        try:
+            facts = scene_facts(recipe, drapes, [drapes[spacings.index(spread_at)], *disturbed])
+        except ClothError as error:
+            print(f"left out: {error}", file=sys.stderr)
+            continue
         scenes.append(facts)
         print(json.dumps(facts))
         cloth = cloth_of(recipe)
@@ -167,7 +171,7 @@ def scene_facts(recipe: SceneRecipe, drapes: Sequence[MeasuredRun], same: Sequen
     """Errors against the finest drape, spread of the disturbed ones, order; of runs that came to rest."""
     reference = drapes[-1]
     if reference.failed is not None:
-        raise ClothError(f"{recipe.name}: the reference did not come to rest: {reference.failed}; take another scene")
+        raise ClothError(f"{recipe.name}: the reference did not come to rest: {reference.failed}")
     good = [run for run in drapes if run.failed is None]
     still = [run for run in same if run.failed is None]
     squares = [drape_error(a.drape, b.drape).rms ** 2 for a, b in combinations(still, 2)]

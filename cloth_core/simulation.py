@@ -19,6 +19,7 @@ from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
 from cloth_core.report import Report
+from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
@@ -45,11 +46,12 @@ _LEAST_REACH, _MOST_REACH = 0.001, 0.006
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _SEWING_INTERVAL = 0.05
 _STALLED = 0.9
-# Share of the structural stiffness on the way to rest; it grows to all of it in about this time [s] when movements are
-# this many times what counts as rest.
+# Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
+# [s] once the seams have closed.
 _SOFTNESS = 1.0 / 16.0
-_STIFFENING_TIME = 0.1
-_NEARLY = 6.0
+_STIFFENING_TIME = 0.05
+# Kinetic damping ends when movements are this share of what counts as rest.
+_CALM = 0.2
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # Cloth faster than this has left physics [m/s].
@@ -112,9 +114,9 @@ class Simulation:
         self._open_seams: dict[str, float] = {}
         self._widest_gap = math.inf
         self._kinetic_energy = 0.0
+        self._calming = True
         self._impulse_step = 1.0
         self._flight_step = math.inf
-        self._stiffening = False
         self._next_sewing = 0.0
         self._speed = 0.0
         self.grasps = Grasps()
@@ -184,13 +186,15 @@ class Simulation:
     def settle(self, on_tick: OnTick | None = None) -> Report:
         """Run until the cloth lies still (paper, step 5); on_tick may return True to stop early.
 
-        At rest means that within `rest_window` no particle has moved by more than `rest_displacement`. The way there is
-        not physical in time, only its end is the equilibrium: extra air drag (`settle_drag`) calms the swinging, and a
-        run from the start sews and drapes with soft structural springs first (`Model.soften`), which allows longer
-        steps, and gets their true stiffness when it is nearly at rest.
+        At rest means that within `rest_window` no particle moves by more than `rest_displacement`, and that none is
+        about to: a swing that turns round is none (`cloth_core.rest`). The way there is not physical in time, only its
+        end is the equilibrium: extra air drag (`settle_drag`) and kinetic damping calm the swinging, and a run from the
+        start sews with soft structural springs (`Model.soften`), which allows longer steps, and gives them their true
+        stiffness when the seams have closed.
         """
         self._seeking_rest = True
-        if self.steps == 0:
+        self._calming = True
+        if self.steps == 0 and self.phase == SEWING:
             self.model.soften(_SOFTNESS)
         self._refresh_time_step()
         reason = "stopped before it came to rest"
@@ -328,12 +332,13 @@ class Simulation:
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
         if self._seeking_rest and self.phase != SEWING:
-            self._calm()
-            if self._stiffening and self.model.softness < 1.0:
+            if self._calming:
+                self._calm()
+            if self.model.softness < 1.0:
                 self._stiffen()
         if self.phase == SEWING:
             self._sew()
-        elif self.time >= self._window_end:
+        elif self._rest.due(self.time):
             self._check_rest()
         if self.time >= self._next_check:
             self._refresh_time_step()
@@ -476,27 +481,28 @@ class Simulation:
         return crossings
 
     def _open_window(self) -> None:
-        self._window_x = self._x.copy()
-        self._window_end = self.time + self.scene.settings.rest_window
-        self._window_movement: float | None = None
+        settings, gravity = self.scene.settings, self.scene.gravity
+        height = float(np.ptp(self._x @ np.array(gravity))) / max(float(np.linalg.norm(gravity)), 1e-12)
+        slowest = slowest_swing(gravity, height)
+        self._rest = RestWatch(settings.rest_displacement, settings.rest_window, slowest)
+        self._rest.open(self.time, self._x)
 
     def _check_rest(self) -> None:
-        settings = self.scene.settings
-        movement = float(np.sqrt(((self._x - self._window_x) ** 2).sum(axis=1).max()))
-        speed_limit = 2.0 * settings.rest_displacement / settings.rest_window
-        if self.model.softness < 1.0:
-            self._stiffening = movement <= _NEARLY * settings.rest_displacement
-            self._open_window()
+        at_rest = self._rest.at_rest(self.time, self._x)
+        movement = self._rest.movement or 0.0
+        allowed = self.scene.settings.rest_displacement
+        if self._seeking_rest and self._calming:
+            if movement <= _CALM * allowed:
+                # Whether it stays is seen when nothing stops it.
+                self._calming = False
+                self._open_window()
             return
-        self.settled = movement <= settings.rest_displacement and self._largest_speed() <= speed_limit
+        self._calming = not at_rest and movement > allowed
+        self.settled = at_rest
         if self.settled:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
-        last = self._window_movement
-        self._open_window()
-        self._window_movement = movement
-        self._movement_ratio = movement / last if last else None
 
     def _calm(self) -> None:
         """Kinetic damping (Cundall 1976): what swings is stopped where its kinetic energy is largest."""
@@ -513,11 +519,9 @@ class Simulation:
         self._refresh_time_step()
         self._open_window()
 
-    _movement_ratio: float | None = None
-
     def _rest_estimate(self) -> float | None:
         """Rest time if the movement per window goes on shrinking at the present rate."""
-        movement, ratio = self._window_movement, self._movement_ratio
+        movement, ratio = self._rest.movement, self._rest.ratio
         if self.settled:
             return self.time
         if movement is None or ratio is None or not 0.0 < ratio < 0.99:

@@ -32,8 +32,9 @@ _MARGIN = 0.97
 # Springs from this share of the limit on are looked at in each step.
 _WATCHED = 0.7
 _SWEEPS = 4
-# Time in which a spring that is too long shrinks back, to 1/e [s], and its largest speed then [m/s].
-_RETURN_TIME = 0.01
+# Time in which a spring that is too long shrinks back, to 1/e [s], and its largest speed then [m/s]: much slower, and a
+# heavy load that sags a little in each step is never brought back within the limit.
+_RETURN_TIME = 0.003
 _RETURN_SPEED = 0.1
 
 
@@ -104,9 +105,13 @@ def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: 
 
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; pairs (s, 2); dt [s].
     """
-    for _ in range(_SWEEPS if limit.watched_count[0] > 0 else 0):
-        for entry in range(limit.watched_count[0]):
-            s = limit.watched[entry]
+    count = limit.watched_count[0]
+    if count == 0:
+        return
+    for sweep in range(_SWEEPS):
+        for entry in range(count):
+            # Forth and back: what hangs from a spring is felt along a whole row within one sweep.
+            s = limit.watched[entry if sweep % 2 == 0 else count - 1 - entry]
             i, j = pairs[s, 0], pairs[s, 1]
             compliance = inverse_mass[i] + inverse_mass[j]
             if compliance == 0.0:
@@ -115,15 +120,30 @@ def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: 
             length = np.sqrt(dx * dx + dy * dy + dz * dz)
             excess = length - limit.longest[s]
             rate = (dx * (v[j, 0] - v[i, 0]) + dy * (v[j, 1] - v[i, 1]) + dz * (v[j, 2] - v[i, 2])) / length
-            # What was within the limit may just reach it; what was beyond shrinks back gently.
-            target = excess - dt * rate
-            if target > 0.0:
-                target -= min(target / _RETURN_TIME, _RETURN_SPEED) * dt
-            else:
-                target = 0.0
+            # What was within the limit may just reach it; what was beyond grows no longer.
+            target = max(excess - dt * rate, 0.0)
             before = limit.impulse[s]
             limit.impulse[s] = max(before + (excess - target) / (dt * compliance), 0.0)
             _pull(x, v, inverse_mass, i, j, limit.impulse[s] - before, dt)
+    # What is beyond shrinks back gently, by its place only: a velocity inwards would stay in the cloth as a swing,
+    # and the next one would come on top of it.
+    for entry in range(count):
+        s = limit.watched[entry]
+        i, j = pairs[s, 0], pairs[s, 1]
+        compliance = inverse_mass[i] + inverse_mass[j]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        excess = length - limit.longest[s]
+        if compliance == 0.0 or excess <= 0.0:
+            continue
+        way = min(excess * min(dt / _RETURN_TIME, 0.7), _RETURN_SPEED * dt) / (length * compliance)
+        a, b = inverse_mass[i] * way, inverse_mass[j] * way
+        x[i, 0] += a * dx
+        x[i, 1] += a * dy
+        x[i, 2] += a * dz
+        x[j, 0] -= b * dx
+        x[j, 1] -= b * dy
+        x[j, 2] -= b * dz
 
 
 @kernel

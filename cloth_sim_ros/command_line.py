@@ -16,6 +16,7 @@ import click
 from cloth_core.errors import ClothError, SimulationError
 from cloth_sim_ros.command_values import OutputFile, PictureSize, Quantity
 from cloth_sim_ros.run_progress import Interruption, ProgressDisplay
+from cloth_sim_ros.stability_command import stability
 
 if TYPE_CHECKING:
     from cloth_core.pattern import Pattern
@@ -311,6 +312,9 @@ def tradeoff(patterns: tuple[str, ...], **options: Any) -> None:
     from cloth_sim_ros.tradeoff_command import run_tradeoff
 
     run_tradeoff(patterns, **options)
+
+
+cli.add_command(stability)
 
 
 # Parts of commands

@@ -1,0 +1,76 @@
+"""When cloth is at rest: nothing moves, and nothing is merely about to turn round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["RestWatch", "slowest_swing"]
+
+Floats = NDArray[np.float64]
+
+# Nothing that hangs swings more slowly than this [rad/s]; without gravity it stands for all motion.
+_LEAST_FREQUENCY = 2.0
+
+
+def slowest_swing(gravity: Sequence[float], height: float) -> float:
+    """Frequency [rad/s] of a pendulum as long as a garment of that height [m]: sqrt(g / l)."""
+    g = math.sqrt(sum(a * a for a in gravity))
+    return max(math.sqrt(g / height) if height > 0.0 else 0.0, _LEAST_FREQUENCY)
+
+
+class RestWatch:
+    """Watches positions, window after window.
+
+    Cloth that swings stands still for a moment where it turns round. What tells it from cloth at rest is its
+    acceleration: in a harmonic motion of frequency w the highest speed is sqrt(v^2 + (a / w)^2) at any moment. Speed v
+    and acceleration a are taken from the positions at the ends of two windows, so that what trembles without going
+    anywhere does not count, and for w stands the slowest swing that is possible.
+
+    Args:
+        displacement: at rest when no particle moves, or in its swing will move, farther than this [m] in a window.
+        window: length of a window [s].
+        slowest: frequency of the slowest swing [rad/s].
+
+    Attributes:
+        movement: farthest way of any particle in the last window [m]; None before the first one has ended.
+        ratio: of the last two such ways; None before.
+    """
+
+    def __init__(self, displacement: float, window: float, slowest: float) -> None:
+        self._displacement, self._window, self._slowest = displacement, window, slowest
+        self._times: list[float] = []
+        self._positions: list[Floats] = []
+        self.movement: float | None = None
+        self.ratio: float | None = None
+
+    def open(self, time: float, x: Floats) -> None:
+        """Start anew at a time [s] and positions (n, 3) [m]."""
+        self._times, self._positions = [time], [x.copy()]
+        self.movement = self.ratio = None
+
+    def due(self, time: float) -> bool:
+        """Whether a window has ended."""
+        return time >= self._times[-1] + self._window
+
+    def at_rest(self, time: float, x: Floats) -> bool:
+        """End a window; whether all particles are at rest. It takes two windows at least."""
+        self._times = [*self._times[-2:], time]
+        self._positions = [*self._positions[-2:], x.copy()]
+        last = _largest(self._positions[-1] - self._positions[-2])
+        self.ratio = last / self.movement if self.movement else None
+        self.movement = last
+        if len(self._times) < 3:
+            return False
+        (x0, x1, x2), (t0, t1, t2) = self._positions, self._times
+        before, now = (x1 - x0) / (t1 - t0), (x2 - x1) / (t2 - t1)
+        acceleration = (now - before) / ((t2 - t0) / 2.0)
+        highest_speed = np.sqrt((now**2).sum(axis=1) + (acceleration**2).sum(axis=1) / self._slowest**2)
+        return float(highest_speed.max()) * self._window <= self._displacement
+
+
+def _largest(way: Floats) -> float:
+    return float(np.sqrt((way**2).sum(axis=1).max()))
