@@ -1,9 +1,9 @@
 """Eight numbers at a time, for loops of compiled functions that must not depend on what a compiler recognises.
 
 A loop is vectorised by LLVM only where it can prove, or check before each run, that no array overlaps another, and its
-last elements are done one by one; for runs of 20 to 200 elements both cost as much as the run. `Lanes` are eight float64
-in one value that becomes one AVX-512 register, two AVX registers or four of SSE and NEON. Each operation rounds as the
-same one on single numbers (`fused` rounds once, as IEEE 754 has it, on any processor): the same bits everywhere.
+last elements are done one by one; for runs of 20 to 200 elements both cost as much as the run. `Lanes` are eight
+float64 in one value that becomes one AVX-512 register, two AVX registers or four of SSE and NEON. Each operation rounds
+as on single numbers (`fused` rounds once, as IEEE 754 has it, on any processor): the same bits everywhere.
 """
 
 from __future__ import annotations
@@ -12,15 +12,19 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-import numba
 from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+from numba import core, extending, types
 
 __all__ = ["LANES", "add_to", "fill", "fused", "inverse_root", "last_lanes", "load", "store", "take_from"]
 
 LANES = 8
+
+# Numba has no type hints.
+_intrinsic: Any = extending.intrinsic
+_lower: Any = extending.lower_builtin
+_typer: Any = extending.type_callable
+_model: Any = extending.register_model
+_declared: Any = core.cgutils.get_or_insert_function
 
 _float = ir.DoubleType()
 _vector = ir.VectorType(_float, LANES)
@@ -31,24 +35,24 @@ class LanesType(types.Type):  # type: ignore[misc]
     """Numba's type of eight float64."""
 
     def __init__(self) -> None:
-        super().__init__(name="Lanes")
+        super().__init__(name="Lanes")  # type: ignore[no-untyped-call]
 
 
-lanes_type = LanesType()
+lanes_type: Any = LanesType()
 
 
-@register_model(LanesType)
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+@_model(LanesType)
+class _LanesModel(extending.models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _vector)
 
 
 def _binary(function: Callable[..., Any], emit: str) -> None:
-    @type_callable(function)
+    @_typer(function)
     def typer(_: Any) -> Any:
-        return lambda a, b: lanes_type if a is lanes_type and b is lanes_type else None
+        return lambda a, b: lanes_type if isinstance(a, LanesType) and isinstance(b, LanesType) else None
 
-    @lower_builtin(function, lanes_type, lanes_type)
+    @_lower(function, lanes_type, lanes_type)
     def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return getattr(builder, emit)(*arguments)
 
@@ -60,7 +64,7 @@ _binary(operator.mul, "fmul")
 
 def _call(builder: Any, name: str, *arguments: Any) -> Any:
     kind = ir.FunctionType(_vector, [_vector] * len(arguments))
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)
+    return builder.call(_declared(builder.module, kind, name), arguments)
 
 
 def _constant(value: float) -> Any:
@@ -78,7 +82,7 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any
     return builder.bitcast(builder.gep(data, [index]), _vector.as_pointer())
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def load(typing: Any, array: Any, index: Any) -> Any:
     """array[index : index + 8] of a contiguous row of float64; the caller sees to it that these exist."""
 
@@ -88,7 +92,7 @@ def load(typing: Any, array: Any, index: Any) -> Any:
     return lanes_type(_row(array), types.intp), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """array[index : index + 8] = value."""
 
@@ -99,7 +103,7 @@ def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.none(_row(array), types.intp, lanes_type), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def add_to(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """array[index : index + 8] += value."""
 
@@ -111,7 +115,7 @@ def add_to(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.none(_row(array), types.intp, lanes_type), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def take_from(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """array[index : index + 8] -= value."""
 
@@ -123,7 +127,7 @@ def take_from(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.none(_row(array), types.intp, lanes_type), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def last_lanes(typing: Any, value: Any, count: Any) -> Any:
     """The value in the last `count` lanes (an int up to 8), 0 in the others."""
 
@@ -140,11 +144,11 @@ def _row(array: Any) -> Any:
     if not (
         isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C" and array.dtype == types.float64
     ):
-        raise numba.core.errors.TypingError(f"lanes: {array} is not a contiguous row of float64")
+        raise core.errors.TypingError(f"lanes: {array} is not a contiguous row of float64")
     return array
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def fill(typing: Any, value: Any) -> Any:
     """The same number in all eight."""
 
@@ -154,7 +158,7 @@ def fill(typing: Any, value: Any) -> Any:
     return lanes_type(types.float64), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a b + c, rounded once."""
 
@@ -164,13 +168,13 @@ def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return lanes_type(lanes_type, lanes_type, lanes_type), emit
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def inverse_root(typing: Any, squared: Any, least: Any) -> Any:
     """1 / sqrt(max(squared, least)) to within 2 units in the last place, for least (float64) above 1e-300.
 
     Half the exponent, negated, gives a first value within 3.5 % (Lomont 2003, for float64). Each of two iterations of
-    fourth order (y + y h (1/2 + 3/8 h + 5/16 h^2) with h = 1 - r y^2, the binomial series) takes the relative error e to
-    35/8 e^4: 6e-6, then below rounding. Division and root of the processor take about twice as long.
+    fourth order, y + y h (1/2 + 3/8 h + 5/16 h^2) with h = 1 - r y^2 (the binomial series), takes the relative error e
+    to 35/8 e^4: 6e-6, then below rounding. Division and root of the processor take about twice as long.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
