@@ -44,7 +44,7 @@ lanes_type: Any = LanesType()
 @_model(LanesType)
 class _LanesModel(extending.models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _vector)
+        super().__init__(manager, kind, _vector)  # type: ignore[no-untyped-call]
 
 
 def _binary(function: Callable[..., Any], emit: str) -> None:
