@@ -216,10 +216,16 @@ class Model:
         tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
         springs, bends, seams, seam_damping = (np.zeros_like(x) for _ in range(4))
 
+        rows = _spring_rows(x, self.springs.pairs, self.springs.rest_length, self._stiffness)
+        last: list[Floats] = []
+
         def parts(u: Floats) -> None:
+            if last and last[0] is u:
+                return
+            last[:] = [u]
             for out in (springs, bends, seams, seam_damping):
                 out[:] = 0.0
-            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self._stiffness, springs)
+            _spring_stiffness(u, self.springs.pairs, rows, springs)
             if self.bending is not None:
                 forces = np.zeros((3, len(x)))
                 bending_forces(
@@ -316,20 +322,34 @@ _NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0),
 
 
 @kernel
-def _spring_stiffness(x: Floats, u: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats, out: Floats) -> None:
-    """Add K u of all springs at x: k d d' along each spring and, where it is stretched, k (1 - L0 / L) across it."""
+def _spring_rows(x: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats) -> Floats:
+    """The stiffness matrix of each spring at x, c 1 + e e': c [N/m] and e (3) [(N/m)^(1/2)], shape (s, 4).
+
+    It is k d d' along the spring and, where it is stretched, k (1 - L0 / L) across it.
+    """
+    rows = np.zeros((pairs.shape[0], 4))
     for s in range(pairs.shape[0]):
         i, j = pairs[s, 0], pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         squared = dx * dx + dy * dy + dz * dz
         if squared < 1e-24:
             continue
-        ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
         across = max(1.0 - rest_length[s] / np.sqrt(squared), 0.0)
-        along = (1.0 - across) * (dx * ux + dy * uy + dz * uz) / squared
-        fx = stiffness[s] * (across * ux + along * dx)
-        fy = stiffness[s] * (across * uy + along * dy)
-        fz = stiffness[s] * (across * uz + along * dz)
+        along = np.sqrt(stiffness[s] * (1.0 - across) / squared)
+        rows[s, 0] = stiffness[s] * across
+        rows[s, 1], rows[s, 2], rows[s, 3] = along * dx, along * dy, along * dz
+    return rows
+
+
+@kernel
+def _spring_stiffness(u: Floats, pairs: Ints, rows: Floats, out: Floats) -> None:
+    """Add K u of all springs; rows (s, 4) as from _spring_rows, u and out (n, 3)."""
+    for s in range(pairs.shape[0]):
+        i, j = pairs[s, 0], pairs[s, 1]
+        ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
+        across, ex, ey, ez = rows[s, 0], rows[s, 1], rows[s, 2], rows[s, 3]
+        along = ex * ux + ey * uy + ez * uz
+        fx, fy, fz = across * ux + along * ex, across * uy + along * ey, across * uz + along * ez
         out[i, 0] -= fx
         out[i, 1] -= fy
         out[i, 2] -= fz
