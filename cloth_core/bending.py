@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
+from cloth_core.lanes import LANES, add_to, fill, fused, last_lanes, load, store, take_from
 from cloth_core.runs import Runs, find_runs
 
 __all__ = ["Bending", "bending_forces", "build_bending", "hinges"]
@@ -138,21 +139,30 @@ def bending_forces(
     stiffness k (h,) [N/m]; scratch (3, at least n). The force is linear in x: with x + tau v in its place it includes a
     damping of time tau.
     """
+    minus_two, two = fill(-2.0), fill(2.0)
     for axis in range(3):
         y, f, bent = x[axis], force[axis], scratch[axis]
         for r in range(lines.length.shape[0]):
-            n, stiff = lines.length[r], lines.value[r, 0]
+            n, stiff = lines.length[r], fill(lines.value[r, 0])
             i, j, k = lines.first[r, 0], lines.first[r, 1], lines.first[r, 2]
-            before, at, after = y[i : i + n], y[j : j + n], y[k : k + n]
-            force_before, force_at, force_after = f[i : i + n], f[j : j + n], f[k : k + n]
-            for s in range(n):
-                bent[s] = stiff * (before[s] - 2.0 * at[s] + after[s])
-            for s in range(n):
-                force_before[s] -= bent[s]
-            for s in range(n):
-                force_at[s] += 2.0 * bent[s]
-            for s in range(n):
-                force_after[s] -= bent[s]
+            far = min(abs(j - i), min(abs(k - j), abs(k - i))) >= 2 * LANES  # as in spring_forces
+            for block in range(0, n, LANES):
+                s = min(block, n - LANES)
+                one = stiff * fused(minus_two, load(y, j + s), load(y, i + s) + load(y, k + s))
+                if not far:
+                    store(bent, s, one)
+                if s < block:
+                    one = last_lanes(one, LANES - (block - s))
+                take_from(f, i + s, one)
+                if far:
+                    add_to(f, j + s, two * one)
+                    take_from(f, k + s, one)
+            for block in range(0, 0 if far else n, LANES):
+                s = min(block, n - LANES)
+                add_to(f, j + s, two * last_lanes(load(bent, s), LANES - (block - s)))
+            for block in range(0, 0 if far else n, LANES):
+                s = min(block, n - LANES)
+                take_from(f, k + s, last_lanes(load(bent, s), LANES - (block - s)))
         for s in range(lines.rest.shape[0]):
             i, j, k = lines.rest[s, 0], lines.rest[s, 1], lines.rest[s, 2]
             bend = lines.rest_value[s, 0] * (y[i] - 2.0 * y[j] + y[k])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cloth_core.kernel import kernel
 
-__all__ = ["semi_implicit_euler"]
+__all__ = ["euler_by_axis", "semi_implicit_euler"]
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +18,22 @@ def semi_implicit_euler(x: Floats, v: Floats, force: Floats, inverse_mass: Float
 
     Shapes: x, v (n, 3) [m, m/s]; force (3, n) [N]; inverse_mass (n,) [1/kg], 0 for what does not move; dt [s].
     """
+    fx, fy, fz = force[0], force[1], force[2]
     for i in range(x.shape[0]):
-        for axis in range(3):
-            v[i, axis] += dt * inverse_mass[i] * force[axis, i]
-            x[i, axis] += dt * v[i, axis]
+        share = dt * inverse_mass[i]
+        v[i, 0] += share * fx[i]
+        v[i, 1] += share * fy[i]
+        v[i, 2] += share * fz[i]
+        x[i, 0] += dt * v[i, 0]
+        x[i, 1] += dt * v[i, 1]
+        x[i, 2] += dt * v[i, 2]
+
+
+@kernel
+def euler_by_axis(x: Floats, v: Floats, force: Floats, inverse_mass: Floats, dt: float) -> None:
+    """The same to the bit for x, v, force with a row for each axis, (3, at least n)."""
+    for axis in range(3):
+        px, pv, f = x[axis], v[axis], force[axis]
+        for i in range(inverse_mass.shape[0]):
+            pv[i] += dt * inverse_mass[i] * f[i]
+            px[i] += dt * pv[i]

@@ -65,7 +65,8 @@ class Model:
     Attributes:
         closed: the seams that are merged.
         number: model particle of each unsewn particle, shape (n,).
-        mass, inverse_mass: [kg, 1/kg], shape (k,).
+        mass: [kg], shape (k,); inertia: the same but while a run looks for rest (`even_out`).
+        inverse_mass: 1 / inertia, 0 for what is held [1/kg], shape (k,).
         triangles: in model particles, shape (m, 3).
         softness: what the structural springs' stiffness is multiplied by, 1 unless a run looks for rest.
         springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
@@ -90,6 +91,7 @@ class Model:
             bad = int(np.flatnonzero(self.number == np.flatnonzero(self.mass <= 0.0)[0])[0])
             where = garment.panel_names[garment.panel_of_particle[bad]]
             raise SceneError(f"panel '{where}', particle {bad}: has no cloth around it and no mass; mend the pattern")
+        self.inertia = self.mass
         self.inverse_mass = 1.0 / self.mass
         self.inverse_mass[self.number[scene.pins]] = 0.0
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
@@ -140,6 +142,21 @@ class Model:
         self._spring_runs = self._runs.mixed(softness)
         if self.seam_pull is not None:
             self.seam_pull = build_seam_pull(garment, fabric, garment.start, softness)
+
+    def even_out(self, evenly: bool) -> None:
+        """Give light particles on stiff springs more inertia, or give all of them their own again.
+
+        The lightest particles, at corners and outlines, limit the time step of all. Where only the resting shape is
+        looked for, inertia is free (dynamic relaxation): weight and stiffness stay as they are.
+        """
+        self.inertia = self.mass
+        if evenly:
+            stiffness = np.bincount(
+                self.springs.pairs.ravel(), weights=np.repeat(self.springs.stiffness, 2), minlength=len(self.mass)
+            )
+            self.inertia = np.maximum(self.mass, stiffness / np.median(stiffness / self.mass))
+        free = self.inverse_mass > 0.0
+        self.inverse_mass[free] = 1.0 / self.inertia[free]
 
     # -- arrays for the compiled loop --
 
@@ -201,10 +218,16 @@ class Model:
         tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
         springs, bends, seams, seam_damping = (np.zeros_like(x) for _ in range(4))
 
+        rows = _spring_rows(x, self.springs.pairs, self.springs.rest_length, self._stiffness)
+        last: list[Floats] = []
+
         def parts(u: Floats) -> None:
+            if last and last[0] is u:
+                return
+            last[:] = [u]
             for out in (springs, bends, seams, seam_damping):
                 out[:] = 0.0
-            _spring_stiffness(x, u, self.springs.pairs, self.springs.rest_length, self._stiffness, springs)
+            _spring_stiffness(u, self.springs.pairs, rows, springs)
             if self.bending is not None:
                 forces = np.zeros((3, len(x)))
                 bending_forces(
@@ -301,20 +324,34 @@ _NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0),
 
 
 @kernel
-def _spring_stiffness(x: Floats, u: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats, out: Floats) -> None:
-    """Add K u of all springs at x: k d d' along each spring and, where it is stretched, k (1 - L0 / L) across it."""
+def _spring_rows(x: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats) -> Floats:
+    """The stiffness matrix of each spring at x, c 1 + e e': c [N/m] and e (3) [(N/m)^(1/2)], shape (s, 4).
+
+    It is k d d' along the spring and, where it is stretched, k (1 - L0 / L) across it.
+    """
+    rows = np.zeros((pairs.shape[0], 4))
     for s in range(pairs.shape[0]):
         i, j = pairs[s, 0], pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         squared = dx * dx + dy * dy + dz * dz
         if squared < 1e-24:
             continue
-        ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
         across = max(1.0 - rest_length[s] / np.sqrt(squared), 0.0)
-        along = (1.0 - across) * (dx * ux + dy * uy + dz * uz) / squared
-        fx = stiffness[s] * (across * ux + along * dx)
-        fy = stiffness[s] * (across * uy + along * dy)
-        fz = stiffness[s] * (across * uz + along * dz)
+        along = np.sqrt(stiffness[s] * (1.0 - across) / squared)
+        rows[s, 0] = stiffness[s] * across
+        rows[s, 1], rows[s, 2], rows[s, 3] = along * dx, along * dy, along * dz
+    return rows
+
+
+@kernel
+def _spring_stiffness(u: Floats, pairs: Ints, rows: Floats, out: Floats) -> None:
+    """Add K u of all springs; rows (s, 4) as from _spring_rows, u and out (n, 3)."""
+    for s in range(pairs.shape[0]):
+        i, j = pairs[s, 0], pairs[s, 1]
+        ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
+        across, ex, ey, ez = rows[s, 0], rows[s, 1], rows[s, 2], rows[s, 3]
+        along = ex * ux + ey * uy + ez * uz
+        fx, fy, fz = across * ux + along * ex, across * uy + along * ey, across * uz + along * ez
         out[i, 0] -= fx
         out[i, 1] -= fy
         out[i, 2] -= fz

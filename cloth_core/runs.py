@@ -13,13 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.lanes import LANES
+
 __all__ = ["Runs", "find_runs"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Shorter runs cost more than the same elements in a list.
-_SHORTEST = 6
+# Shorter runs do not fill a register; kernels rely on it.
+_SHORTEST = LANES
 # Values that differ by less than rounding in the rest shape's coordinates are equal.
 _SAME = 1e-9
 

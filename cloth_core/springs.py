@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
+from cloth_core.lanes import LANES, add_to, fill, fused, inverse_root, last_lanes, load, store, take_from
 from cloth_core.runs import Runs, find_runs
 from cloth_core.unique_rows import unique_rows
 
@@ -170,45 +171,45 @@ def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, forc
     vx, vy, vz = v[0], v[1], v[2]
     fx, fy, fz = force[0], force[1], force[2]
     tx, ty, tz = scratch[0], scratch[1], scratch[2]
-    # A run's loops have no branches and run over contiguous slices, all in this one function: a call for each run would
-    # cost as much as the run.
+    one, tau = fill(1.0), fill(damping_time)
     for r in range(springs.length.shape[0]):
         i, j, n = springs.first[r, 0], springs.first[r, 1], springs.length[r]
-        rest_length, stiffness = springs.value[r, 0], springs.value[r, 1]
-        xi, yi, zi = px[i : i + n], py[i : i + n], pz[i : i + n]
-        xj, yj, zj = px[j : j + n], py[j : j + n], pz[j : j + n]
-        if damping_time > 0.0:
-            ui, vi, wi = vx[i : i + n], vy[i : i + n], vz[i : i + n]
-            uj, vj, wj = vx[j : j + n], vy[j : j + n], vz[j : j + n]
-            for s in range(n):
-                dx, dy, dz = xj[s] - xi[s], yj[s] - yi[s], zj[s] - zi[s]
-                inverse = 1.0 / np.sqrt(max(dx * dx + dy * dy + dz * dz, _COINCIDENT))
-                rate = dx * (uj[s] - ui[s]) + dy * (vj[s] - vi[s]) + dz * (wj[s] - wi[s])
-                factor = stiffness * (1.0 - rest_length * inverse + damping_time * rate * inverse * inverse)
-                tx[s] = factor * dx
-                ty[s] = factor * dy
-                tz[s] = factor * dz
-        else:
-            for s in range(n):
-                dx, dy, dz = xj[s] - xi[s], yj[s] - yi[s], zj[s] - zi[s]
-                factor = stiffness * (1.0 - rest_length / np.sqrt(max(dx * dx + dy * dy + dz * dz, _COINCIDENT)))
-                tx[s] = factor * dx
-                ty[s] = factor * dy
-                tz[s] = factor * dz
-        ax, ay, az = fx[i : i + n], fy[i : i + n], fz[i : i + n]
-        bx, by, bz = fx[j : j + n], fy[j : j + n], fz[j : j + n]
-        for s in range(n):
-            ax[s] += tx[s]
-        for s in range(n):
-            ay[s] += ty[s]
-        for s in range(n):
-            az[s] += tz[s]
-        for s in range(n):
-            bx[s] -= tx[s]
-        for s in range(n):
-            by[s] -= ty[s]
-        for s in range(n):
-            bz[s] -= tz[s]
+        minus_rest_length, stiffness = fill(-springs.value[r, 0]), fill(springs.value[r, 1])
+        # What has just been stored is slow to load again at a place shifted by less than a register: the other ends of
+        # springs along a row wait until the run has been through.
+        far = abs(j - i) >= 2 * LANES
+        for block in range(0, n, LANES):
+            # The last block ends with the run; what it has in common with the one before is not added again.
+            s = min(block, n - LANES)
+            a, b = i + s, j + s
+            dx, dy, dz = load(px, b) - load(px, a), load(py, b) - load(py, a), load(pz, b) - load(pz, a)
+            inverse = inverse_root(fused(dx, dx, fused(dy, dy, dz * dz)), _COINCIDENT)
+            stretch = fused(minus_rest_length, inverse, one)
+            if damping_time > 0.0:
+                du, dv, dw = load(vx, b) - load(vx, a), load(vy, b) - load(vy, a), load(vz, b) - load(vz, a)
+                rate = fused(dx, du, fused(dy, dv, dz * dw))
+                stretch = fused(tau * rate * inverse, inverse, stretch)
+            factor = stiffness * stretch
+            if not far:
+                store(tx, s, factor * dx)
+                store(ty, s, factor * dy)
+                store(tz, s, factor * dz)
+            if s < block:
+                factor = last_lanes(factor, LANES - (block - s))
+            dx, dy, dz = factor * dx, factor * dy, factor * dz
+            add_to(fx, a, dx)
+            add_to(fy, a, dy)
+            add_to(fz, a, dz)
+            if far:
+                take_from(fx, b, dx)
+                take_from(fy, b, dy)
+                take_from(fz, b, dz)
+        for block in range(0, 0 if far else n, LANES):
+            s = min(block, n - LANES)
+            fresh = LANES - (block - s)
+            take_from(fx, j + s, last_lanes(load(tx, s), fresh))
+            take_from(fy, j + s, last_lanes(load(ty, s), fresh))
+            take_from(fz, j + s, last_lanes(load(tz, s), fresh))
     for s in range(springs.rest.shape[0]):
         i, j = springs.rest[s, 0], springs.rest[s, 1]
         dx, dy, dz = px[j] - px[i], py[j] - py[i], pz[j] - pz[i]

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.kernel import kernel
+from cloth_core.lanes import LANES, fill, fused, load, store, take_from
+
 __all__ = ["StableStep", "largest_eigenpair", "stable_time_step"]
 
 Floats = NDArray[np.float64]
@@ -45,21 +48,23 @@ def largest_eigenpair(
     side. `start` has any shape; the operator maps arrays of that shape.
     """
     shape = start.shape
-    norm = float(np.linalg.norm(start))
+    norm = _norm(start)
     if norm == 0.0:
         return 0.0, start
-    basis = [start.ravel() / norm]
+    size = start.size
+    basis = np.zeros((8, -(-size // LANES) * LANES))  # rows of whole registers
+    basis[0, :size] = start.ravel() / norm
     alpha: list[float] = []
     beta: list[float] = []
     value, residual, weights = 0.0, math.inf, np.ones(1)
+    w = np.zeros(basis.shape[1])
     for k in range(iterations):
-        w = operator(basis[-1].reshape(shape)).ravel()
-        alpha.append(float(w @ basis[-1]))
+        w[:size] = operator(basis[k, :size].reshape(shape)).ravel()
+        alpha.append(_dot(w, basis[k]))
         for _ in range(2):  # full reorthogonalisation: few vectors, no ghosts
-            before = float(np.linalg.norm(w))
-            for q in basis:
-                w = w - (w @ q) * q
-            beta_k = float(np.linalg.norm(w))
+            before = math.sqrt(_dot(w, w))
+            _orthogonalise(w, basis, k + 1)
+            beta_k = math.sqrt(_dot(w, w))
             if beta_k > 0.1 * before:  # else what is left is rounding in part, and a second pass takes that away
                 break
         beta.append(beta_k)
@@ -70,9 +75,38 @@ def largest_eigenpair(
             residual = beta[-1] * abs(float(weights[-1]))
             if last or residual <= tolerance * value:
                 break
-        basis.append(w / beta[-1])
-    ritz = sum(c * q for c, q in zip(weights, basis, strict=False))
-    return max(value, 0.0) + (residual if value > 0.0 else 0.0), np.asarray(ritz).reshape(shape)
+        if k + 1 == len(basis):
+            basis = np.concatenate([basis, np.zeros_like(basis)])
+        np.divide(w, beta[-1], out=basis[k + 1])
+    ritz = np.zeros(size)
+    for c, q in zip(weights, basis, strict=False):
+        ritz += c * q[:size]
+    return max(value, 0.0) + (residual if value > 0.0 else 0.0), ritz.reshape(shape)
+
+
+def _norm(a: Floats) -> float:
+    """Root of the sum of squares; that of NumPy calls BLAS, whose threads wait for each other on a busy machine."""
+    return math.sqrt(float(np.square(a).sum()))
+
+
+@kernel
+def _dot(a: Floats, b: Floats) -> float:
+    """a . b for whole registers: one thread, one order of summation, where BLAS has several of both."""
+    total, eight = fill(0.0), np.zeros(LANES)
+    for s in range(0, a.shape[0], LANES):
+        total = fused(load(a, s), load(b, s), total)
+    store(eight, 0, total)
+    return float(eight.sum())
+
+
+@kernel
+def _orthogonalise(w: Floats, basis: Floats, count: int) -> None:
+    """Take from w its parts along the first rows of a basis, one after the other (modified Gram-Schmidt), in place."""
+    for k in range(count):
+        q = basis[k]
+        part = fill(_dot(w, q))
+        for s in range(0, w.shape[0], LANES):
+            take_from(w, s, part * load(q, s))
 
 
 def stable_time_step(
@@ -81,20 +115,25 @@ def stable_time_step(
     """Largest dt with dt^2 K + 2 dt C < 4 M.
 
     Args:
-        stiffness, damping: u (n, 3) -> K u [N/m], C u [N s/m], symmetric and positive semi-definite.
+        stiffness, damping: u (n, 3) -> K u [N/m], C u [N s/m], symmetric and positive semi-definite; called one after
+            the other with the same array, so that they can share what they have in common.
         inverse_mass: [1/kg], shape (n,), 0 where a particle is fixed.
         start: a mode to start from, for example the last one, shape (n, 3).
         tolerance: relative residual of the eigenvalue.
     """
     scale = np.sqrt(inverse_mass)[:, None]
     stir = np.random.default_rng(0).standard_normal((len(inverse_mass), 3))
-    stir /= np.linalg.norm(stir)
+    stir /= _norm(stir)
 
     def along(mode: Floats) -> tuple[float, float]:
         """k = u K u and c = u C u of the normalised mode."""
-        unit = mode / np.linalg.norm(mode)
-        k = float((unit * scale * stiffness(scale * unit)).sum())
-        return k, float((unit * scale * damping(scale * unit)).sum())
+        unit = mode / _norm(mode)
+        scaled = scale * unit
+        return float((scaled * stiffness(scaled)).sum()), float((scaled * damping(scaled)).sum())
+
+    def both(u: Floats, step: float) -> Floats:
+        scaled = scale * u
+        return np.asarray(scale * (step * step * stiffness(scaled) + 2.0 * step * damping(scaled)))
 
     if start is None or not start.any():
         value, mode = largest_eigenpair(lambda u: scale * stiffness(scale * u), stir, tolerance)
@@ -106,7 +145,7 @@ def stable_time_step(
         # Along the mode found for this dt: dt^2 k + 2 dt c = 4. A new mode can only shorten the step; it settles fast.
         step = min(dt, 1e6)
         value, mode = largest_eigenpair(
-            lambda u, s=step: scale * (s * s * stiffness(scale * u) + 2.0 * s * damping(scale * u)),  # type: ignore[misc]
+            lambda u, s=step: both(u, s),  # type: ignore[misc]
             _stirred(mode, stir),
             tolerance,
         )
@@ -135,4 +174,4 @@ def _stirred(mode: Floats, stir: Floats) -> Floats:
     From a mode in the plane of a flat sheet alone, Lanczos never leaves it; and with little of the others it ends at a
     mode that was the stiffest before the cloth moved, and is no longer.
     """
-    return np.asarray(mode / np.linalg.norm(mode) + stir)
+    return np.asarray(mode / _norm(mode) + stir)

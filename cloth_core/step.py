@@ -1,7 +1,8 @@
 """One time step: forces of the terms that the scene has, equation 6, contact; many steps in one compiled loop.
 
 The state has a row for each particle, (n, 3): that is what contact wants, which looks at particles here and there.
-Forces run along the rows of the lattice and want a row for each axis, (3, n): they work on a copy in that layout.
+Forces run along the rows of the lattice and want a row for each axis, (3, n): they work on a copy in that layout, in
+which the state stays as long as nothing can touch.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from cloth_core.bending import bending_forces
 from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
-from cloth_core.euler import semi_implicit_euler
+from cloth_core.euler import euler_by_axis, semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel
 from cloth_core.runs import Runs
@@ -25,6 +26,10 @@ __all__ = ["ForceTerms", "Workspace", "run_steps", "total_force"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+
+# In float64: 4 kB, and by how much the start of a row of the workspace is shifted against that of the row before.
+_CACHE_WAY = 512
+_ROW_SHIFT = 32
 
 
 class ForceTerms(NamedTuple):
@@ -58,7 +63,7 @@ class ForceTerms(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Copies of the state and the forces with a row for each axis, (3, n) each; nothing in it outlives a step.
+    """The state and the forces with a row for each axis, (3, at least n) each; nothing in it outlives `run_steps`.
 
     Attributes:
         x, v, force: [m, m/s, N].
@@ -75,29 +80,73 @@ class Workspace(NamedTuple):
     @classmethod
     def of(cls, particles: int) -> Workspace:
         """Room for a number of particles."""
-        return cls(*(np.zeros((3, particles)) for _ in range(5)))
+        arrays = len(cls._fields)
+        # Places a multiple of 4 kB apart share a set of the first-level cache, which holds 8 of them; loops here run
+        # over 18 rows at once. So a row is that much longer that all 15 of them start at different sets.
+        row = particles + (_ROW_SHIFT - particles) % _CACHE_WAY
+        room = np.zeros(arrays * 3 * row)
+        return cls(*room.reshape(arrays, 3, row))
 
 
 @kernel
 def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, work: Workspace) -> None:
-    """Sum of all forces on each particle at x, v (n, 3) (paper, equation 1), written to work.force (3, n) [N]."""
-    tau = terms.bending_damping_time
-    for axis in range(3):
-        px, pv, ahead = work.x[axis], work.v[axis], work.ahead[axis]
-        for i in range(x.shape[0]):
-            px[i] = x[i, axis]
-            pv[i] = v[i, axis]
-        for i in range(x.shape[0]):
-            ahead[i] = px[i] + tau * pv[i]
+    """Sum of all forces on each particle at x, v (n, 3) (paper, equation 1), written to work.force [N]."""
+    _by_axis(x, work.x)
+    _by_axis(v, work.v)
+    _forces(terms, openness, work)
+
+
+@kernel
+def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
+    """Sum of all forces at work.x, work.v, written to work.force."""
     gravity_forces(terms.mass, terms.gravity, work.force)
     if terms.air_drag != 0.0:
         air_drag_forces(work.v, terms.mass, terms.air_drag, work.force)
     spring_forces(work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch)
-    bending_forces(
-        work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
-    )
+    if terms.lines.length.shape[0] + terms.lines.rest.shape[0] + terms.hinges.shape[0] > 0:
+        tau = terms.bending_damping_time
+        for axis in range(3):
+            px, pv, ahead = work.x[axis], work.v[axis], work.ahead[axis]
+            for i in range(terms.mass.shape[0]):
+                ahead[i] = px[i] + tau * pv[i]
+        bending_forces(
+            work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
+        )
     if terms.seam.pairs.shape[0] > 0:
         seam_forces(work.x, work.v, terms.seam, openness, work.force)
+
+
+@kernel
+def _by_axis(rows: Floats, columns: Floats) -> None:
+    """Copy (n, 3) to (3, at least n)."""
+    first, second, third = columns[0], columns[1], columns[2]
+    for i in range(rows.shape[0]):
+        first[i] = rows[i, 0]
+        second[i] = rows[i, 1]
+        third[i] = rows[i, 2]
+
+
+@kernel
+def _by_particle(columns: Floats, rows: Floats) -> None:
+    """Copy (3, at least n) to (n, 3)."""
+    first, second, third = columns[0], columns[1], columns[2]
+    for i in range(rows.shape[0]):
+        rows[i, 0] = first[i]
+        rows[i, 1] = second[i]
+        rows[i, 2] = third[i]
+
+
+@kernel
+def _copy_watched(x: Floats, v: Floats, terms: ForceTerms, work: Workspace, back: bool) -> None:
+    """Copy the ends of the springs near their strain limit from the workspace to x, v (n, 3), or back."""
+    for entry in range(terms.strain_limit.watched_count[0]):
+        for end in range(2):
+            i = terms.spring_pairs[terms.strain_limit.watched[entry], end]
+            for axis in range(3):
+                if back:
+                    work.x[axis, i], work.v[axis, i] = x[i, axis], v[i, axis]
+                else:
+                    x[i, axis], v[i, axis] = work.x[axis, i], work.v[axis, i]
 
 
 @kernel
@@ -119,16 +168,37 @@ def run_steps(
     x, v (n, 3) [m, m/s]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
     """
     watch_strain(x, terms.spring_pairs, terms.strain_limit)
+    if not contact.active:
+        _free_steps(x, v, work, terms, dt, count, openness, openness_rate)
+        return count
     for step in range(count):
         openness = max(openness - openness_rate * dt, 0.0)
         total_force(x, v, terms, openness, work)
         semi_implicit_euler(x, v, work.force, terms.inverse_mass, dt)
         repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-        spent = False
-        if contact.active:
-            spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
+        spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
         hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if contact.active and (keep_within_travel(x, v, contacts, moved) or spent):
+        if keep_within_travel(x, v, contacts, moved) or spent:
             return step + 1
     return count
+
+
+@kernel
+def _free_steps(
+    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, count: int, openness: float, rate: float
+) -> None:
+    """The same steps, to the bit, where nothing can touch: the state stays in the layout of the forces meanwhile."""
+    _by_axis(x, work.x)
+    _by_axis(v, work.v)
+    for _ in range(count):
+        openness = max(openness - rate * dt, 0.0)
+        _forces(terms, openness, work)
+        euler_by_axis(work.x, work.v, work.force, terms.inverse_mass, dt)
+        if terms.strain_limit.watched_count[0] > 0:
+            _copy_watched(x, v, terms, work, False)
+            repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+            hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+            _copy_watched(x, v, terms, work, True)
+    _by_particle(work.x, x)
+    _by_particle(work.v, v)

@@ -154,7 +154,7 @@ def test_stable_step_of_a_model_is_that_of_its_assembled_matrices():
     def force(at: np.ndarray, speed: np.ndarray) -> np.ndarray:
         work = Workspace.of(len(at))
         total_force(at, speed, terms, 0.0, work)
-        return work.force.T.ravel()
+        return work.force[:, : len(at)].T.ravel()
 
     k_matrix, c_matrix = np.zeros((n, n)), np.zeros((n, n))
     still = np.zeros_like(x)

@@ -1,0 +1,100 @@
+"""Eight numbers at a time against the same on single numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from apparatus import spring_force
+from numpy.typing import NDArray
+
+from cloth_core.kernel import kernel
+from cloth_core.lanes import add_to, fill, fused, inverse_root, last_lanes, load, store, take_from
+from cloth_core.springs import spring_forces
+
+Floats = NDArray[np.float64]
+
+
+@kernel
+def _roots(squared: Floats, least: float, out: Floats) -> None:
+    for block in range(0, squared.shape[0], 8):
+        store(out, block, inverse_root(load(squared, block), least))
+
+
+@kernel
+def _combined(a: Floats, b: Floats, c: Floats, out: Floats) -> None:
+    x, y, z = load(a, 0), load(b, 0), load(c, 0)
+    store(out, 0, (x + y) * fill(3.0) - z)
+    store(out, 8, fused(x, y, z))
+    store(out, 16, last_lanes(x, 3))
+    add_to(out, 24, x)
+    take_from(out, 25, y)
+
+
+def test_inverse_root_is_right_to_two_units_in_the_last_place_at_every_size() -> None:
+    chance = np.random.default_rng(3)
+    squared = 10.0 ** chance.uniform(-23.0, 6.0, 80_000)
+    out = np.zeros_like(squared)
+    _roots(squared, 1e-24, out)
+    exact = 1.0 / np.sqrt(squared.astype(np.longdouble))
+    assert np.abs((out - exact) / exact).max() < 2 * np.finfo(float).eps
+
+
+def test_inverse_root_of_less_than_the_least_is_that_of_the_least() -> None:
+    out = np.zeros(8)
+    _roots(np.array([0.0, 1e-30, 1e-25, 1e-24, 0.0, 0.0, 0.0, 4e-24]), 1e-24, out)
+    assert out == pytest.approx([1e12] * 7 + [0.5e12], rel=1e-15)
+
+
+def test_operations_are_those_of_single_numbers() -> None:
+    chance = np.random.default_rng(4)
+    a, b, c = chance.normal(size=(3, 8))
+    out = np.zeros(40)
+    _combined(a, b, c, out)
+    assert (out[:8] == (a + b) * 3.0 - c).all()
+    exact = a.astype(np.longdouble) * b + c  # 64 bits of mantissa: not exact, but nearer than two roundings
+    assert out[8:16] == pytest.approx(exact.astype(float), rel=1e-14)
+    assert (out[16:21] == 0.0).all()
+    assert (out[21:24] == a[5:]).all()
+    assert (out[24:32] == a - np.concatenate([[0.0], b[:7]])).all()
+    assert out[32] == -b[7]
+
+
+@pytest.mark.parametrize("apart", [1, 7, 15, 16, 60])
+@pytest.mark.parametrize("count", [7, 8, 9, 15, 16, 17, 40])
+def test_runs_of_every_length_and_distance_give_each_spring_its_force_once(count: int, apart: int) -> None:
+    chance = np.random.default_rng(count + 100 * apart)
+    particles = count + apart
+    x, v = chance.normal(size=(2, particles, 3))
+    pairs = np.stack([np.arange(count), np.arange(count) + apart], axis=1)
+    force = spring_force(x, v, pairs, np.full(count, 0.7), np.full(count, 30.0), 0.01)
+    assert force == pytest.approx(_plain(x, v, pairs, 0.7, 30.0, 0.01), rel=1e-12, abs=1e-12 * 30.0)
+
+
+def _plain(x: Floats, v: Floats, pairs: Any, rest_length: float, stiffness: float, tau: float) -> Floats:
+    force = np.zeros_like(x)
+    for i, j in pairs:
+        d, u = x[j] - x[i], v[j] - v[i]
+        length = np.sqrt(d @ d)
+        pull = stiffness * (length - rest_length + tau * (d @ u) / length) * d / length
+        force[i] += pull
+        force[j] -= pull
+    return force
+
+
+def test_no_run_writes_beyond_its_particles() -> None:
+    from apparatus import by_axis
+
+    from cloth_core.runs import find_runs
+
+    chance = np.random.default_rng(5)
+    x = chance.normal(size=(30, 3))
+    pairs = np.stack([np.arange(5, 16), np.arange(5, 16) + 1], axis=1).astype(np.int32)
+    runs = find_runs(pairs, np.ones((11, 2)))
+    assert list(runs.length) == [11]
+    force, scratch = np.zeros((3, 30)), np.full((3, 30), np.nan)
+    spring_forces(by_axis(x), by_axis(0.0 * x), runs, 0.0, force, scratch)
+    assert (force[:, :5] == 0.0).all()
+    assert (force[:, 17:] == 0.0).all()
+    assert np.isnan(scratch[:, 11:]).all()
