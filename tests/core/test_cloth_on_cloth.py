@@ -184,7 +184,7 @@ def test_two_sheets_on_a_ball_rest_in_order_without_crossing():
     assert len(top) > 3
     assert lower.ray.intersects_any(top, -top).all()
     assert not lower.ray.intersects_any(top, top).any()
-    assert np.linalg.norm(inner, axis=1).min() > 0.1 + 0.9 * BODY_OFFSET
+    assert ball.signed_distance(inner).min() > 0.98 * BODY_OFFSET
 
 
 # ---- friction between layers

