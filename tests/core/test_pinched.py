@@ -79,13 +79,13 @@ def search_of(body: bool, x: np.ndarray) -> Contact:
 @pytest.mark.parametrize("distance", [1e-3, 1e-5, 1.1e-6, 1e-7, 1e-8])
 def test_pressing_never_brings_two_triangles_through_each_other(distance, body):
     rng = np.random.default_rng(1)
-    for _ in range(8):
+    for _ in range(4):
         x, _ = nearly_touching(rng, distance)
         contact = search_of(body, x)
         movable = 3 if body else 6
         y, nearest = x[:movable].copy(), np.inf
         middle = x.reshape(2, 3, 3).mean(axis=1)
-        for _ in range(60):
+        for _ in range(40):
             found = contact.search(y, 0.006)
             towards = np.repeat(middle[::-1] - middle, 3, axis=0)[:movable]
             y += 0.05 * towards + 1e-3 * rng.normal(size=y.shape)
