@@ -76,7 +76,8 @@ def compared(cases: list[dict[str, Any]]) -> list[str]:
                 (
                     n,
                     cpu,
-                    f"| {peer} | {n} | {cpu:.3g} | {wall:.3g} | {len(good)} | {100 * first['strain_max']:.1f} %{mark} | "
+                    f"| {peer} | {n} | {cpu:.3g} | {wall:.3g} | {len(good)} | "
+                    f"{100 * first['strain_max']:.1f} %{mark} | "
                     f"{100 * first['strain_any_frame']:.0f} % | {depth} | {first['peak_mb']:.0f} MB |",
                 )
             )
@@ -109,8 +110,8 @@ def stencil(limit: dict[str, Any]) -> list[str]:
     wall = {threads: min(run[0] for run in limit["c"][threads]) for threads in ("1", "2")}
     return [
         *lines,
-        f"Scene A at {limit['n']} x {limit['n']} with the springs of the C program `stencil_limit.c`: three families, 12 "
-        "neighbours, no damping. That program knows nothing but a grid, has no index, no rim and no pins. In turn, "
+        f"Scene A at {limit['n']} x {limit['n']} with the springs of the C program `stencil_limit.c`: three families, "
+        "12 neighbours, no damping. That program knows nothing but a grid, has no index, no rim and no pins. In turn, "
         "median of 5, float64:",
         "",
         "| | ns per spring and step, processor | wall, best |",
@@ -176,7 +177,7 @@ def drapes(rows: list[dict[str, Any]]) -> list[str]:
         "Cotton poplin, `settle()`; set-up of the simulation included, compilation not. None of the others reads a "
         "sewing pattern or sews; a comparison would be one of set-ups, so there is none.",
         "",
-        "| spacing | particles | processor | wall | steps | simulated | at rest | largest strain | crossings body, self |",
+        "| spacing | particles | processor | wall | steps | simulated | at rest | largest strain | through body, self |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for r in rows:
@@ -184,8 +185,8 @@ def drapes(rows: list[dict[str, Any]]) -> list[str]:
             lines.append(f"| {1000 * float(r['value']):g} mm | {r['failed']} ||||||||")
             continue
         lines.append(
-            f"| {1000 * r['spacing']:g} mm | {r['particles']} | {r['processor']:.1f} s | {r['wall']:.1f} s | {r['steps']} "
-            f"| {r['simulated']:.2f} s | {'yes' if r['settled'] else 'no'} | {100 * r['max_strain']:.1f} % | "
+            f"| {1000 * r['spacing']:g} mm | {r['particles']} | {r['processor']:.1f} s | {r['wall']:.1f} s | "
+            f"{r['steps']} | {r['simulated']:.2f} s | {'yes' if r['settled'] else 'no'} | {100 * r['max_strain']:.1f} % | "
             f"{r['body_intersections']}, {r['self_intersections']} |"
         )
     return lines

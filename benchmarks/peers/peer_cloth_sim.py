@@ -6,8 +6,8 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import scenes
-from sheet import as_grid, sheet
+from peers import scenes
+from peers.sheet import as_grid, sheet
 
 from cloth_core.body import Body
 from cloth_core.fabric import Fabric

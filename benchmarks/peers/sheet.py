@@ -7,14 +7,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from peers import scenes
 
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern
-
-try:
-    from peers import scenes
-except ImportError:  # run from its own directory
-    import scenes  # type: ignore[no-redef]
 
 __all__ = ["as_grid", "sheet"]
 
