@@ -55,10 +55,10 @@ class Settings:
     sewing_time: float = 3.0
     seam_tolerance: float = 0.001
     merge_distance: float = 0.01
-    rest_displacement: float = 0.0005
-    rest_window: float = 0.1
+    rest_displacement: float = 0.00025
+    rest_window: float = 0.05
     max_time: float = 20.0
-    settle_drag: float = 4.0
+    settle_drag: float = 10.0
 
     def __post_init__(self) -> None:
         for key, value in self.__dict__.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ class Scene:
         air_drag: k_a [1/s].
         settings: spacing, time step, contact, rest.
         without: names of terms that are switched off by hand; a report says what the run lacks for want of them.
+        worn: the patterns that it was built from, if any, innermost first.
         warnings: one line each.
     """
 
@@ -52,6 +53,7 @@ class Scene:
     air_drag: float = 1.0
     settings: Settings = field(default_factory=Settings)
     without: tuple[str, ...] = ()
+    worn: tuple[Pattern, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.gravity) != 3 or not all(math.isfinite(g) for g in self.gravity):
@@ -134,7 +136,19 @@ class Scene:
             air_drag=air_drag,
             settings=chosen,
             without=tuple(without),
+            worn=tuple(worn),
         )
+
+    def with_spacing(self, spacing: float) -> Scene:
+        """The same scene at another particle spacing [m]; only for one that was built from patterns, without pins.
+
+        Raises:
+            ClothError: a panel cannot be meshed or placed at that spacing.
+        """
+        return Scene.build(
+            self.worn, self.body, self.fabric, settings=replace(self.settings, spacing=spacing),
+            gravity=-self.gravity[2], air_drag=self.air_drag, without=self.without,
+        )  # fmt: skip
 
 
 def _check_scale(garment: Garment, body: Body) -> None:

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Damping ratio of a seam spring between its two particles: they hardly swing past each other.
-_DAMPING_RATIO = 0.3
+_DAMPING_RATIO = 0.1
 
 
 class SeamPull(NamedTuple):

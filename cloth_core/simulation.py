@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.coarse_start import Interpolation, interpolation_between
 from cloth_core.contact import SPENT, ContactSettings, ContactState
-from cloth_core.errors import SceneError, SimulationError
+from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
@@ -39,7 +40,7 @@ SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
 
 _TICK_STEPS = 32
 # Simulated time between two checks of the stable time step [s].
-_CHECK_INTERVAL = 1.0 / 60.0
+_CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH, _MOST_REACH = 0.001, 0.006
@@ -50,8 +51,13 @@ _STALLED = 0.9
 # [s] once the seams have closed.
 _SOFTNESS = 1.0 / 16.0
 _STIFFENING_TIME = 0.05
+# A run to rest starts with a mesh of this many times the spacing, where that is not beyond the coarsest [m].
+_COARSER = 2.0
+_COARSEST = 0.04
 # Kinetic damping ends when movements are this share of what counts as rest.
-_CALM = 0.2
+_CALM = 0.5
+# A coarse start ends when movements are this many times what counts as rest.
+_NEARLY = 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # Cloth faster than this has left physics [m/s].
@@ -114,6 +120,9 @@ class Simulation:
         self._open_seams: dict[str, float] = {}
         self._widest_gap = math.inf
         self._kinetic_energy = 0.0
+        self._coarse: tuple[Simulation, Interpolation] | None = None
+        self._sewing_began = 0.0
+        self._rough = False
         self._calming = True
         self._impulse_step = 1.0
         self._flight_step = math.inf
@@ -137,15 +146,22 @@ class Simulation:
     @property
     def positions(self) -> Floats:
         """One row for each particle of each panel [m], shape (n, 3); sewn ones coincide."""
+        if self._coarse is not None:
+            coarse, interpolation = self._coarse
+            return interpolation(coarse.positions)
         return np.asarray(self._x[self.model.number])
 
     def sewn_mesh(self) -> tuple[Floats, Ints]:
         """Positions [m] with closed seams merged, shape (k, 3), and triangles (m, 3)."""
+        if self._coarse is not None:
+            return self.positions, self.model.triangles.copy()
         return self._x.copy(), self.model.triangles.copy()
 
     @property
     def progress(self) -> Progress:
         """Where the run stands."""
+        if self._coarse is not None:
+            return self._coarse[0].progress
         return Progress(self.phase, self.time, self._speed, self._largest_speed(), self._rest_estimate())
 
     @property
@@ -194,11 +210,13 @@ class Simulation:
         """
         self._seeking_rest = True
         self._calming = True
-        if self.steps == 0 and self.phase == SEWING:
+        stopped = self.steps == 0 and self._start_coarse(on_tick)
+        if self.phase == SEWING:
             self.model.soften(_SOFTNESS)
+        self.model.even_out(True)
         self._refresh_time_step()
         reason = "stopped before it came to rest"
-        while True:
+        while not stopped:
             if self.settled:
                 s = self.scene.settings
                 reason = f"no particle moved by more than {1000 * s.rest_displacement:g} mm in {s.rest_window:g} s"
@@ -214,10 +232,54 @@ class Simulation:
             if on_tick is not None and on_tick(self):
                 break
         self._seeking_rest = False
-        if self.model.softness < 1.0:
-            self.model.soften(1.0)
-            self._refresh_time_step()
+        self.model.soften(1.0)
+        self.model.even_out(False)
+        self._refresh_time_step(tolerance=2e-3)
         return self.report(reason)
+
+    def _start_coarse(self, on_tick: OnTick | None) -> bool:
+        """Drape a coarser mesh first, and start from there; whether on_tick asked to stop meanwhile.
+
+        Where that does not work out, because the coarse garment cannot be draped or something would cross, the fine one
+        starts from the beginning.
+        """
+        scene = self.scene
+        spacing = _COARSER * scene.settings.spacing
+        if not scene.worn or len(scene.pins) > 0 or self.phase != SEWING or spacing > _COARSEST:
+            return False
+        stopped = False
+
+        def follow(coarse: Simulation) -> bool:
+            nonlocal stopped
+            self.time, self.steps, self.phase = coarse.time, coarse.steps, coarse.phase
+            stopped = on_tick is not None and bool(on_tick(self))
+            return stopped or not coarse._calming
+
+        try:
+            coarse = Simulation(scene.with_spacing(spacing))
+            coarse._rough = True
+            interpolation = interpolation_between(coarse.scene.garment, scene.garment)
+            self._coarse = (coarse, interpolation)
+            coarse.settle(follow)
+        except ClothError:
+            return stopped
+        finally:
+            self._coarse = None
+            self.phase = SEWING
+            self._sewing_began = self.time
+        x = interpolation(coarse.positions)
+        if coarse.phase == SEWING:
+            self._sewing_began = coarse._sewing_began
+            self._use(self.model, x, np.zeros_like(x))
+            return stopped
+        closed = {seam.name for seam in coarse.model.closed}
+        model = Model(scene, closed=tuple(seam for seam in scene.garment.seams if seam.name in closed))
+        if self._crossings(model, x) == 0:
+            self.phase = DRAPING
+            self._open_seams = coarse._open_seams
+            self._warnings += coarse._warnings
+            self._use(model, x, np.zeros_like(x))
+        return stopped
 
     def reset(self) -> None:
         """Back to the start, with all seams open, nothing held and the body where it was."""
@@ -312,7 +374,7 @@ class Simulation:
             self._rescale_impulses(step)
             if self.grasps:
                 self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * step)
-            openness = max(1.0 - self.time / settings.closing_time, 0.0) if self.phase == SEWING else 0.0
+            openness = self._openness()
             did = run_steps(
                 self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
                 steps, openness, 1.0 / settings.closing_time,
@@ -347,6 +409,12 @@ class Simulation:
         if wall > 0.0:
             self._speed += 0.1 * ((self.time - before) / wall - self._speed)
 
+    def _openness(self) -> float:
+        """Share of its start length to which a seam's pull lets it close by now."""
+        if self.phase != SEWING:
+            return 0.0
+        return max(1.0 - (self.time - self._sewing_began) / self.scene.settings.closing_time, 0.0)
+
     def _rescale_impulses(self, step: float) -> None:
         """Impulses that the next step starts from belong to the last step's length [s]; forces go on, not impulses."""
         if step != self._impulse_step:
@@ -371,6 +439,7 @@ class Simulation:
         self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         model.soften(softness)
+        model.even_out(self._seeking_rest)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
@@ -387,10 +456,10 @@ class Simulation:
         extra = self.scene.settings.settle_drag if self._seeking_rest or self.model.sewing else 0.0
         return max(self.model.scene.air_drag, extra)
 
-    def _refresh_time_step(self, estimate: bool = True) -> None:
+    def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
         drag = self._air_drag()
         if estimate:
-            self._stable = self.model.stable_step(self._x, drag, self._stable.mode, tolerance=1e-2)
+            self._stable = self.model.stable_step(self._x, drag, self._stable.mode, tolerance)
         self._terms = self.model.force_terms(drag)
         longest = self.model.longest_step(self._stable)
         wanted = self.scene.settings.time_step
@@ -440,20 +509,21 @@ class Simulation:
     def _sew(self) -> None:
         """Merge the seams once all are closed, or no longer get narrower, or the time for sewing is over."""
         settings = self.scene.settings
-        if self.time < max(settings.closing_time, self._next_sewing):
+        sewn_for = self.time - self._sewing_began
+        if sewn_for < settings.closing_time or self.time < self._next_sewing:
             return
         self._next_sewing = self.time + _SEWING_INTERVAL
         gaps = seam_gaps(self.scene.garment, self.positions)
         widest, before = max(gaps.values()), self._widest_gap
         self._widest_gap = widest
-        late = self.time >= settings.sewing_time
+        late = sewn_for >= settings.sewing_time
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
         model = self._merged(gaps, settings.merge_distance)
         if (model.number != self.scene.garment.merged_indices).any() and not late:
             return
-        if self._crossings(model) > self._crossings(self.model):
+        if self._crossings(model, self.positions) > self._crossings(self.model, self.positions):
             if not late:
                 return
             model = self._merged(gaps, settings.seam_tolerance)
@@ -468,9 +538,9 @@ class Simulation:
         """The model in which all seams narrower than limit [m] are merged."""
         return Model(self.scene, closed=tuple(s for s in self.scene.garment.seams if gaps[s.name] <= limit))
 
-    def _crossings(self, model: Model) -> int:
-        """Sides that pass through the body or the cloth when the present state is put into a model's numbering."""
-        x = model.gather(self.positions, self.scene.garment.particle_areas)
+    def _crossings(self, model: Model, unsewn_x: Floats) -> int:
+        """Sides that pass through the body or the cloth when positions (n, 3) are put into a model's numbering."""
+        x = model.gather(unsewn_x, self.scene.garment.particle_areas)
         # Triangles that will share a point once sewn are neighbours already.
         identity = np.zeros(model.particle_count, dtype=np.int32)
         identity[model.number] = self.scene.garment.merged_indices
@@ -492,7 +562,7 @@ class Simulation:
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
         if self._seeking_rest and self._calming:
-            if movement <= _CALM * allowed:
+            if movement <= (_NEARLY if self._rough else _CALM) * allowed:
                 # Whether it stays is seen when nothing stops it.
                 self._calming = False
                 self._open_window()

@@ -5,9 +5,9 @@ import pytest
 
 from cloth_core.aabb_tree import build_tree, overlapping_pairs
 from cloth_core.body import Body
+from cloth_core.body_contact import BodyContact
+from cloth_core.contact import Contact
 from cloth_core.errors import SceneError
-from cloth_core.pattern import Pattern
-from cloth_core.scene import Scene
 from cloth_core.self_contact import SelfContact
 
 
@@ -18,9 +18,10 @@ def heap_of_triangles(count):
 
 
 def test_a_heap_of_triangles_is_refused():
-    body = Body.from_arrays(*heap_of_triangles(20_000), "heap")
+    vertices, triangles = heap_of_triangles(20_000)
+    search = Contact(triangles, BodyContact(Body.from_arrays(vertices, triangles, "heap"), 0.003))
     with pytest.raises(SceneError, match=r"^body 'heap': too many of its triangles lie at the same place, more than"):
-        Scene.build(Pattern.load("skirt"), body, quality="draft")
+        search.search(vertices, 0.001)
 
 
 def test_the_search_ends_soon_after_the_limit():
