@@ -1,12 +1,16 @@
 """MuJoCo 2D flex: continuum membrane + bending, position-implicit `discrete` integrator."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import mujoco
 import numpy as np
+from peers import scenes
 
-import scenes
 
-
-def run(scene):
+def run(scene: scenes.Scene) -> dict[str, Any]:
+    """Drives one scene."""
     s = scene.settings_over(
         dict(
             substeps=2 if scene.sphere else 1,

@@ -1,10 +1,13 @@
 """NVIDIA Newton on the CPU device of Warp: variant vbd, xpbd or semi."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import newton
 import numpy as np
 import warp as wp
-
-import scenes
+from peers import scenes
 
 DEFAULTS = dict(
     # membrane stiffness in N/m: mu and lambda of a sheet; bending per hinge; iterations per substep
@@ -36,7 +39,8 @@ DEFAULTS = dict(
 )
 
 
-def run(scene, variant):
+def run(scene: scenes.Scene, variant: str) -> dict[str, Any]:
+    """Drives one scene with a solver: vbd, xpbd or semi."""
     wp.config.quiet = True
     s = scene.settings_over(DEFAULTS[variant])
     m = scenes.MASS / scene.n**2

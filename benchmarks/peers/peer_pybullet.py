@@ -1,15 +1,18 @@
 """PyBullet deformable world: mass-spring cloth loaded from an OBJ file."""
 
+from __future__ import annotations
+
 import os
 import tempfile
+from typing import Any
 
 import numpy as np
 import pybullet as p
+from peers import scenes
 
-import scenes
 
-
-def run(scene):
+def run(scene: scenes.Scene) -> dict[str, Any]:
+    """Drives one scene."""
     ke = (100 if scene.sphere else 1000) * (scene.n - 1) / 31  # N/m; springs are explicit
     s = scene.settings_over(
         dict(
@@ -47,7 +50,10 @@ def run(scene):
             useFaceContact=1,
             repulsionStiffness=s["repulsion"],
         )
-    get = lambda: np.array(p.getMeshData(cloth, -1, flags=p.MESH_DATA_SIMULATION_MESH)[1])
+
+    def get() -> np.ndarray:
+        return np.array(p.getMeshData(cloth, -1, flags=p.MESH_DATA_SIMULATION_MESH)[1])
+
     start = get()
     assert len(start) == scene.n**2, f"{len(start)} nodes, expected {scene.n**2}"
     order = np.lexsort(np.round(start * 1e4)[:, :2].T)  # PyBullet may reorder the vertices

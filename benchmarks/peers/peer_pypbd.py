@@ -1,17 +1,21 @@
 """InteractiveComputerGraphics PositionBasedDynamics (C++/OpenMP, double): XPBD distance + bending constraints."""
 
+from __future__ import annotations
+
 import os
+from typing import Any
 
 import numpy as np
+from peers import scenes
 
-import scenes
 
-
-def y_up(p):  # gravity cannot be set from Python: it is fixed to -9.81 on y
+def y_up(p: np.ndarray) -> np.ndarray:  # gravity cannot be set from Python: it is fixed to -9.81 on y
+    """Positions (n, 3) with y up, as this library has them."""
     return np.stack([p[:, 0], p[:, 2], -p[:, 1]], axis=1)
 
 
-def run(scene, threads="2"):  # pypbd is two threads, pypbd_1 one
+def run(scene: scenes.Scene, threads: str = "2") -> dict[str, Any]:  # pypbd is two threads, pypbd_1 one
+    """Drives one scene; variant: number of threads, 2 unless given."""
     os.environ["OMP_NUM_THREADS"] = threads  # read when the library loads
     import pypbd as pbd
 
