@@ -6,6 +6,8 @@ PYTHON = python3
 VENV = .venv
 BIN = $(VENV)/bin
 NUMPY1 = .venv-numpy1
+PEERS = .venv-peers
+PEERS_PYTHON = python3.11
 
 # Every pinned version exists as a wheel but that of EmPy, which is pure Python; so nothing needs a compiler. Without
 # build isolation it is the pinned setuptools that builds EmPy and this package. Byte code is written when a module is
@@ -15,7 +17,7 @@ export PYTHONDONTWRITEBYTECODE =
 
 METADATA = setup.py setup.cfg pyproject.toml constraints.txt
 
-.PHONY: demo test lint format test-numpy1 clean
+.PHONY: demo test lint format test-numpy1 peers clean
 
 demo: $(VENV)/ros.done
 	@echo "==> demo: the T-shirt on the young woman, by a node and a client in processes of their own"
@@ -42,8 +44,11 @@ test-numpy1: $(NUMPY1)/core.done
 	@echo "==> tests of the core with NumPy 1.26, without ROS"
 	@$(NUMPY1)/bin/python -m pytest tests/core
 
+# Other simulators to compare with (1 GB); only `python benchmarks/speed.py` uses them.
+peers: $(PEERS)/peers.done
+
 clean:
-	rm -rf $(VENV) $(NUMPY1) build install log demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) $(NUMPY1) $(PEERS) build install log demo *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/made.done: constraints.txt
@@ -79,4 +84,10 @@ $(NUMPY1)/core.done: $(METADATA)
 	@grep -v -E '^(numpy|scipy|numba|llvmlite)==' constraints.txt > $(NUMPY1)/constraints.txt
 	@$(NUMPY1)/bin/python $(INSTALL) --constraint $(NUMPY1)/constraints.txt setuptools
 	@$(NUMPY1)/bin/python $(INSTALL) --constraint $(NUMPY1)/constraints.txt 'numpy==1.26.*' --editable '.[test]'
+	@touch $@
+
+$(PEERS)/peers.done: benchmarks/peers/requirements.txt
+	@echo "==> installing other simulators as wheels into $(PEERS)"
+	@$(PEERS_PYTHON) -m venv $(PEERS)
+	@$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --prefer-binary -r $<
 	@touch $@

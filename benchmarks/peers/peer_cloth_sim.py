@@ -6,8 +6,8 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-import scenes
-from sheet import as_grid, sheet
+from peers import scenes
+from peers.sheet import as_grid, sheet
 
 from cloth_core.body import Body
 from cloth_core.fabric import Fabric
@@ -21,9 +21,9 @@ _SUBDIVISIONS = 3
 
 def run(scene: scenes.Scene) -> dict[str, Any]:
     """Drives one scene."""
-    # The strain limit holds the cloth without stiffness, so the stiffness is that of a soft woven fabric at any N.
+    # The strain limit holds the cloth without stiffness, so that this is the stiffness of a fabric at any N.
     s = scene.settings_over(
-        {"structural": 200.0, "shear": 50.0, "bending": 1e-5, "damping_time": 1e-5, "strain_limit": 0.05}
+        {"structural": 1000.0, "shear": 50.0, "bending": 1e-5, "damping_time": 1e-5, "strain_limit": 0.045}
     )
     garment = sheet(scene.n)
     order = as_grid(garment, scene.x)

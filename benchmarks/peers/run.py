@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
-import scenes
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from peers import scenes
 
 
 def value(text: str) -> Any:
@@ -40,7 +40,7 @@ def main() -> None:
 
     module, _, variant = ("cloth_sim", "", "") if options.peer == "cloth_sim" else options.peer.partition("_")
     settings = {key: value(text) for key, text in (s.split("=", 1) for s in options.set)}
-    peer = importlib.import_module("peer_" + module)
+    peer = importlib.import_module(f"peers.peer_{module}")
     arguments = (variant,) if variant else ()
     peer.run(scenes.make(options.scene, options.n, 2 / scenes.FPS, settings), *arguments)
     result = peer.run(scenes.make(options.scene, options.n, options.seconds, settings), *arguments)

@@ -6,8 +6,8 @@ import json
 from typing import Any
 
 import numpy as np
-import scenes
 from numpy.typing import NDArray
+from peers import scenes
 
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern

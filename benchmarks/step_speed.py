@@ -1,0 +1,208 @@
+"""What a step costs: `python benchmarks/step_speed.py limit | growth N | profile | drape SPACING`, one line of JSON.
+
+Processor time of the one thread that steps, the smallest of repeated blocks: it does not count what other processes
+take, but is longer while they share the core's caches and units. So what is compared is measured in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from peers import scenes
+from peers.sheet import sheet
+
+from cloth_core.bending import bending_forces
+from cloth_core.body import Body
+from cloth_core.contact import keep_within_travel, resolve_contacts
+from cloth_core.euler import euler_by_axis, semi_implicit_euler
+from cloth_core.fabric import Fabric
+from cloth_core.gravity_and_air import gravity_forces
+from cloth_core.pattern import Pattern
+from cloth_core.quality import Settings
+from cloth_core.scene import Scene
+from cloth_core.simulation import Simulation
+from cloth_core.springs import spring_forces
+from cloth_core.step import run_steps, total_force
+from cloth_core.strain_limit import hold_strain
+
+HERE = Path(__file__).parent
+FLAGS = ["-O3", "-march=native", "-ffast-math", "-mprefer-vector-width=512", "-fopenmp"]
+
+
+def hanging(n: int, **fabric: float) -> Simulation:
+    """Scene A with n x n particles, a moment after the start."""
+    garment = sheet(n)
+    corner = (np.abs(garment.start[:, :2] - [0.0, scenes.SIDE / 2]) == [scenes.SIDE / 2, 0.0]).all(axis=1)
+    cloth = Fabric("sheet", scenes.DENSITY, 1000.0, 1000.0, 50.0, 1e-5, strain_limit=0.045)
+    simulation = Simulation(
+        Scene(
+            garment,
+            Fabric(**{**cloth.__dict__, **fabric}),
+            pins=np.flatnonzero(corner).astype(np.int32),
+            gravity=(0.0, 0.0, -scenes.GRAVITY),
+            air_drag=0.0,
+            settings=Settings(spacing=scenes.SIDE / (n - 1)),
+            without=("self contact",),
+        )
+    )
+    simulation.tick()
+    return simulation
+
+
+def microseconds(action: Callable[[], object], least: float = 0.02, blocks: int = 9) -> float:
+    """Processor time of this thread for one action [us]: the smallest mean of blocks of at least `least` [s]."""
+    action()
+    began = time.thread_time()
+    action()
+    count = max(1, round(least / max(time.thread_time() - began, 1e-7)))
+    best = np.inf
+    for _ in range(blocks):
+        began = time.thread_time()
+        for _ in range(count):
+            action()
+        best = min(best, (time.thread_time() - began) / count)
+    return 1e6 * float(best)
+
+
+def step_microseconds(simulation: Simulation, count: int = 32) -> float:
+    """A step of `run_steps` as the simulation calls it, on copies of its state [us]."""
+    s = simulation
+    x, v = s._x.copy(), s._v.copy()
+    run = lambda: run_steps(  # noqa: E731
+        x, v, s._work, s._moved, s._terms, s._contact_settings, s._contacts, s.time_step, count, 0.0, 0.0
+    )
+    return microseconds(run) / count
+
+
+def limit(n: int = 128) -> dict[str, Any]:
+    """Ours and the C stencil in turn; ns per spring and step."""
+    # The stencil's own springs: three families, nothing damped, no true bending.
+    same = hanging(n, bending=0.0, bending_spring=1.0, damping_time=0.0)
+    cloth = hanging(n)
+    springs = len(same.model.springs)
+    result: dict[str, Any] = {"n": n, "springs": springs, "ours": [], "ours_cloth_us": [], "c": {}}
+    compiler = shutil.which("gcc")
+    with tempfile.TemporaryDirectory() as directory:
+        program = Path(directory) / "limit"
+        if compiler:
+            subprocess.run(
+                [compiler, *FLAGS, str(HERE / "peers" / "stencil_limit.c"), "-o", str(program), "-lm"], check=True
+            )
+        for _ in range(5):
+            result["ours"].append(1e3 * step_microseconds(same) / springs)
+            result["ours_cloth_us"].append(step_microseconds(cloth))
+            for threads in ("1", "2") if compiler else ():
+                run = subprocess.run(
+                    [str(program), str(n)], env={**os.environ, "OMP_NUM_THREADS": threads}, capture_output=True,
+                    text=True, check=True,
+                )  # fmt: skip
+                result["c"].setdefault(threads, []).append([float(word) for word in run.stdout.split()[1:3]])
+    return result
+
+
+def growth(n: int) -> dict[str, Any]:
+    """Time of a step, of an estimate of the stable step, and memory, for n x n particles."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.process_time()
+    simulation = hanging(n)
+    built = time.process_time() - began
+    return {
+        "n": n,
+        "particles": n * n,
+        "step_us": step_microseconds(simulation, 8),
+        "stable_step_us": microseconds(
+            lambda: simulation.model.stable_step(simulation._x, 0.0, simulation.stable.mode, 1e-2), blocks=3
+        ),
+        "build_s": built,
+        "time_step": simulation.time_step,
+        "mb": (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024,
+    }
+
+
+def profile() -> dict[str, Any]:
+    """Microseconds of each kernel in a step: scene A at 128 x 128, T-shirt at 1 cm with all its contacts."""
+    shirt = Simulation(Scene.build([Pattern.load("tshirt")], Body.load("young"), settings=Settings(spacing=0.01)))
+    shirt.advance(0.1)
+    return {"scene A, 128 x 128": kernels(hanging(128)), "T-shirt, 1 cm, sewing": kernels(shirt)}
+
+
+def kernels(simulation: Simulation) -> dict[str, float]:
+    """Microseconds of each kernel on copies of the present state."""
+    s, t, w = simulation, simulation._terms, simulation._work
+    x, v, limit, dt = s._x.copy(), s._v.copy(), s._terms.strain_limit, s.time_step
+    total_force(x, v, t, 0.0, w)
+    result = {
+        "step": step_microseconds(s),
+        "springs": microseconds(lambda: spring_forces(w.x, w.v, t.springs, t.spring_damping_time, w.force, w.scratch)),
+        "bending": microseconds(
+            lambda: bending_forces(w.ahead, t.lines, t.hinges, t.hinge_weights, t.hinge_stiffness, w.force, w.scratch)
+        ),
+        "gravity": microseconds(lambda: gravity_forces(t.mass, t.gravity, w.force)),
+        "Euler by axis": microseconds(lambda: euler_by_axis(w.x, w.v, w.force, 0.0 * t.inverse_mass, dt)),
+        "strain limit": microseconds(lambda: hold_strain(x, v, t.inverse_mass, t.spring_pairs, limit, dt)),
+    }
+    if s._contact_settings.active:
+        result["Euler by particle"] = microseconds(lambda: semi_implicit_euler(x, v, w.force, 0.0 * t.inverse_mass, dt))
+        result["contact response"] = microseconds(
+            lambda: resolve_contacts(x, v, t.inverse_mass, s._contacts, s._contact_settings, dt, s._moved)
+        )
+        result["travel bound"] = microseconds(lambda: keep_within_travel(x, v, s._contacts, s._moved))
+        assert s.model.contact is not None
+        contact = s.model.contact
+        result["contact search (not each step)"] = microseconds(lambda: contact.search(s._x, 0.006), blocks=3)
+    return result
+
+
+def drape(spacing: float) -> dict[str, Any]:
+    """Scene C: the T-shirt on the young woman until rest."""
+    scene = Scene.build([Pattern.load("tshirt")], Body.load("young"), settings=Settings(spacing=spacing))
+    warm = Simulation(scene)
+    warm.tick()
+    began, used = time.perf_counter(), time.process_time()
+    report = Simulation(scene).settle()
+    return {
+        "spacing": spacing,
+        "wall": time.perf_counter() - began,
+        "processor": time.process_time() - used,
+        "particles": report.particles,
+        "steps": report.steps,
+        "simulated": report.simulated_time,
+        "settled": report.settled,
+        "max_strain": report.max_strain,
+        "body_intersections": report.body_intersections,
+        "self_intersections": report.self_intersections,
+        "max_penetration": report.max_penetration,
+        "searches": report.contact_searches,
+    }
+
+
+def main() -> None:
+    """Measures one thing."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=["limit", "growth", "profile", "drape"])
+    parser.add_argument("value", nargs="?", type=float)
+    options = parser.parse_args()
+    if options.what == "limit":
+        print(json.dumps(limit()))
+    elif options.what == "growth":
+        growth(8)  # compiles; what it needs is part of every run
+        print(json.dumps(growth(int(options.value or 64))))
+    elif options.what == "profile":
+        print(json.dumps(profile()))
+    else:
+        print(json.dumps(drape(options.value or 0.02)))
+
+
+if __name__ == "__main__":
+    main()
