@@ -175,7 +175,7 @@ class Grasps:
         self._pin(model)
 
     def _pin(self, model: Model) -> None:
-        model.inverse_mass[:] = 1.0 / model.inertia
+        model.inverse_mass[:] = 1.0 / model.mass
         model.inverse_mass[model.number[model.scene.pins]] = 0.0
         for gripper in self._grippers.values():
             model.inverse_mass[model.number[gripper.particles]] = 0.0

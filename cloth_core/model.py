@@ -65,8 +65,7 @@ class Model:
     Attributes:
         closed: the seams that are merged.
         number: model particle of each unsewn particle, shape (n,).
-        mass: [kg], shape (k,); inertia: the same but while a run looks for rest (`even_out`).
-        inverse_mass: 1 / inertia, 0 for what is held [1/kg], shape (k,).
+        mass, inverse_mass: [kg, 1/kg], shape (k,); the inverse is 0 for what is held.
         triangles: in model particles, shape (m, 3).
         softness: what the structural springs' stiffness is multiplied by, 1 unless a run looks for rest.
         springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
@@ -91,7 +90,6 @@ class Model:
             bad = int(np.flatnonzero(self.number == np.flatnonzero(self.mass <= 0.0)[0])[0])
             where = garment.panel_names[garment.panel_of_particle[bad]]
             raise SceneError(f"panel '{where}', particle {bad}: has no cloth around it and no mass; mend the pattern")
-        self.inertia = self.mass
         self.inverse_mass = 1.0 / self.mass
         self.inverse_mass[self.number[scene.pins]] = 0.0
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
@@ -142,21 +140,6 @@ class Model:
         self._spring_runs = self._runs.mixed(softness)
         if self.seam_pull is not None:
             self.seam_pull = build_seam_pull(garment, fabric, garment.start, softness)
-
-    def even_out(self, evenly: bool) -> None:
-        """Give light particles on stiff springs more inertia, or give all of them their own again.
-
-        The lightest particles, at corners and outlines, limit the time step of all. Where only the resting shape is
-        looked for, inertia is free (dynamic relaxation): weight and stiffness stay as they are.
-        """
-        self.inertia = self.mass
-        if evenly:
-            stiffness = np.bincount(
-                self.springs.pairs.ravel(), weights=np.repeat(self.springs.stiffness, 2), minlength=len(self.mass)
-            )
-            self.inertia = np.maximum(self.mass, stiffness / np.median(stiffness / self.mass))
-        free = self.inverse_mass > 0.0
-        self.inverse_mass[free] = 1.0 / self.inertia[free]
 
     # -- arrays for the compiled loop --
 

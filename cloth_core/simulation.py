@@ -214,7 +214,6 @@ class Simulation:
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
             self.model.soften(_SOFTNESS)
-        self.model.even_out(True)
         self._refresh_time_step()
         reason = "stopped before it came to rest"
         while not stopped:
@@ -234,7 +233,6 @@ class Simulation:
                 break
         self._seeking_rest = False
         self.model.soften(1.0)
-        self.model.even_out(False)
         self._refresh_time_step(tolerance=2e-3)
         return self.report(reason)
 
@@ -437,7 +435,6 @@ class Simulation:
         self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         model.soften(softness)
-        model.even_out(self._seeking_rest)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
