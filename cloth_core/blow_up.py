@@ -63,8 +63,8 @@ class _FixedStep(Simulation):
             model.contact = None  # contact of cloth with cloth holds back what blows up, and hides it
         super()._use(model, unsewn_x, unsewn_v)
 
-    def _refresh_time_step(self, estimate: bool = True) -> None:
-        super()._refresh_time_step(estimate and self.fixed_step is None)
+    def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
+        super()._refresh_time_step(estimate and self.fixed_step is None, tolerance)
         if self.fixed_step is not None:
             self._dt = self.fixed_step
 

@@ -21,11 +21,14 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
 from cloth_core.body_contact import BodyContact, VertexPlanes, hold_vertices, vertex_body_gaps
+from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
+from cloth_core.near_planes import NEAR, NearPlanes, add_plane, keep_on_own_side, room_towards
 from cloth_core.pair_contacts import (
     BODY_SIDE,
     BODY_VERTEX,
+    CLOTH_SIDE,
     CLOTH_VERTEX,
     COUNTS_FROM,
     PairContacts,
@@ -43,6 +46,8 @@ Ints = NDArray[np.int32]
 # Share of the distance between two parts that each may travel between two narrow phases; the body stands still.
 _BODY_TRAVEL = 0.9
 _CLOTH_TRAVEL = 0.45
+# A shorter way than this is none [m]: rounding must not decide on which side of a surface a particle ends up.
+_NO_TRAVEL = 1e-9
 # A new search is due when any particle has used this share of its way.
 SPENT = 0.65
 # How far particles may move between two broad phases, if nobody says otherwise [m], and the share of it that must be
@@ -59,17 +64,19 @@ class ContactState(NamedTuple):
         travel: how far each particle may move from there [m], (n,).
         planes: cloth vertices against body triangles.
         pairs: everything else.
+        near: what bounds the direction of particles that nearly touch something.
     """
 
     origin: Floats
     travel: Floats
     planes: VertexPlanes
     pairs: PairContacts
+    near: NearPlanes
 
     @classmethod
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
-        return cls(np.zeros((0, 3)), np.zeros(0), _no_planes(0), PairContacts.none())
+        return cls(np.zeros((0, 3)), np.zeros(0), _no_planes(0), PairContacts.none(), NearPlanes.none())
 
 
 def _no_planes(particles: int) -> VertexPlanes:
@@ -142,9 +149,10 @@ class Contact:
         reach = np.minimum(reach, self.radius - moved)
         body_x = self.body.body.vertices if self.body is not None else np.zeros((0, 3))
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
-        travel = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, reach)
+        travel, near = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, reach)
         self.narrow_phases += 1
-        return ContactState(x.copy(), travel, self._planes, self._pairs)
+        planes = NearPlanes(near[:, 0].astype(np.int32), np.ascontiguousarray(near[:, 1:4]), near[:, 4].copy())
+        return ContactState(x.copy(), travel, self._planes, self._pairs, planes)
 
     def _broad_phase(self, x: Floats) -> None:
         self.broad_phases += 1
@@ -186,15 +194,22 @@ def _narrow_phase(
     body_triangles: Ints,
     moved: Floats,
     reach: Floats,
-) -> Floats:
-    """List the pairs that can come into contact within reach (n,) [m]; returns how far each particle may go, (n,).
+) -> tuple[Floats, Floats]:
+    """List the pairs that can come into contact within reach (n,) [m].
 
     moved (n,): way of each particle since the broad phase [m]. A pair that is farther apart than what both sides may
     travel does not bound anybody.
+
+    Returns:
+        how far each particle may go [m], (n,); particle, normal and room of the planes of what nearly touches, (k, 5).
     """
     travel = reach / _BODY_TRAVEL
+    near = np.empty((16, 5))
+    near_count = 0
     vertex_body_gaps(x, planes, body_x, body_triangles, moved, travel, travel)
     for i in range(travel.shape[0]):
+        if travel[i] < NEAR:
+            travel[i], near, near_count = _near_body(i, x, planes, body_x, body_triangles, reach[i], near, near_count)
         travel[i] = min(_BODY_TRAVEL * travel[i], reach[i])
     closest = np.zeros(3)
     count = 0
@@ -222,13 +237,93 @@ def _narrow_phase(
         pairs.listed[count] = s
         pairs.listed_distance[count] = distance
         count += 1
+        if distance < NEAR:
+            room = _room_of_pair(x, pairs, s, body_x, closest, distance)
+            if room >= 0.0:
+                for k in range(4):
+                    i = pairs.particles[s, k]
+                    if i >= 0:
+                        sign = _side(kind, k) / distance
+                        near = add_plane(
+                            near, near_count, i, sign * closest[0], sign * closest[1], sign * closest[2], room
+                        )
+                        near_count += 1
+                continue
         bound = (_BODY_TRAVEL if kind == BODY_SIDE or kind == BODY_VERTEX else _CLOTH_TRAVEL) * distance
         for k in range(4):
             i = pairs.particles[s, k]
             if i >= 0:
                 travel[i] = min(travel[i], bound)
     pairs.listed_count[0] = count
-    return travel
+    for i in range(travel.shape[0]):
+        if travel[i] < _NO_TRAVEL:
+            travel[i] = 0.0
+    return travel, near[:near_count]
+
+
+@kernel
+def _near_body(
+    i: int,
+    x: Floats,
+    planes: VertexPlanes,
+    body_x: Floats,
+    body_triangles: Ints,
+    farthest: float,
+    near: Floats,
+    count: int,
+) -> tuple[float, Floats, int]:
+    """Distance [m] of particle i from what is not near of the body, and planes of what is, appended to near."""
+    gap = farthest / _BODY_TRAVEL
+    for entry in range(planes.start[i], planes.start[i + 1]):
+        t = planes.body_triangle[entry]
+        a, b, c = body_triangles[t, 0], body_triangles[t, 1], body_triangles[t, 2]
+        squared, u, w, z = point_triangle(x[i], body_x[a], body_x[b], body_x[c])
+        distance = np.sqrt(squared)
+        room = room_towards(distance, distance) if distance < NEAR else -1.0
+        if room < 0.0:
+            gap = min(gap, distance)
+            continue
+        nx = (x[i, 0] - u * body_x[a, 0] - w * body_x[b, 0] - z * body_x[c, 0]) / distance
+        ny = (x[i, 1] - u * body_x[a, 1] - w * body_x[b, 1] - z * body_x[c, 1]) / distance
+        nz = (x[i, 2] - u * body_x[a, 2] - w * body_x[b, 2] - z * body_x[c, 2]) / distance
+        near = add_plane(near, count, i, nx, ny, nz, room)
+        count += 1
+    return gap, near, count
+
+
+@kernel
+def _side(kind: int, k: int) -> float:
+    """1 if particle k of a pair belongs to the first part, towards which its normal points, -1 if to the second."""
+    if kind == CLOTH_SIDE:
+        return 1.0 if k < 2 else -1.0
+    if kind == CLOTH_VERTEX:
+        return 1.0 if k < 1 else -1.0
+    return 1.0
+
+
+@kernel
+def _room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats, distance: float) -> float:
+    """How far each part of pair s may go towards the other [m], -1 if no plane can be put between them.
+
+    closest (3,): vector between the closest points [m], `distance` long.
+    """
+    if distance == 0.0:
+        return -1.0
+    first, second = np.inf, -np.inf
+    for k in range(4):
+        i = pairs.particles[s, k]
+        if i >= 0:
+            height = (x[i, 0] * closest[0] + x[i, 1] * closest[1] + x[i, 2] * closest[2]) / distance
+            if _side(pairs.kind[s], k) > 0.0:
+                first = min(first, height)
+            else:
+                second = max(second, height)
+    for k in range(2):
+        i = pairs.body[s, k]
+        if i >= 0:
+            height = (body_x[i, 0] * closest[0] + body_x[i, 1] * closest[1] + body_x[i, 2] * closest[2]) / distance
+            second = max(second, height)
+    return float(room_towards(first - second, distance))
 
 
 @kernel
@@ -259,7 +354,7 @@ def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats)
                     v[i, 2] -= outward * dz
                 distance = bound
         moved[i] = distance
-    return spent
+    return keep_on_own_side(x, v, state.origin, state.near) or spent
 
 
 @kernel

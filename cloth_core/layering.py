@@ -18,6 +18,8 @@ from shapely import get_coordinates as coordinates_of
 
 from cloth_core.garment import Garment
 from cloth_core.intersections import self_crossing_pairs
+from cloth_core.pair_contacts import CLOTH_VERTEX
+from cloth_core.self_contact import SelfContact
 
 __all__ = ["separate_panels"]
 
@@ -29,8 +31,9 @@ _FACING = 0.5
 _PARALLEL = 0.999
 _LEAST_MOVE = 1e-6  # m
 _FARTHEST = 1.0  # m
-# Panels nearer than this lie on each other [m].
+# Panels nearer than this lie on each other [m], and points nearer than this touch: contact could not keep them apart.
 _ON_EACH_OTHER = 1e-4
+_TOUCHING = 1e-6
 _ROUNDS = 8
 
 
@@ -38,7 +41,7 @@ def separate_panels(garment: Garment, garment_of_panel: Sequence[int], gap: floa
     """Move panels outwards along their normals until none crosses another and outer garments are outside inner ones.
 
     A panel of a later garment ends at least `gap` [m] outside every panel of an earlier garment that faces the same way
-    and that it covers. Panels that cross, or that lie on each other, are moved apart by the shorter way; of two
+    and that it covers. Panels that cross, touch or lie on each other are moved apart by the shorter way; of two
     garments it is the outer one that moves. Seams that join two panels do not count as crossing.
 
     Args:
@@ -169,11 +172,16 @@ def _polygon(outline: Floats) -> Polygon:
 
 
 def _in_the_way(garment: Garment, start: Floats, panels: list[_FlatPanel], layers: Ints) -> list[tuple[int, int]]:
-    """Pairs of panels, lower index first, that cross or lie on each other."""
+    """Pairs of panels, lower index first, that cross, touch or lie on each other."""
     edges, crossings = self_crossing_pairs(start, garment.triangles, garment.merged_indices)
     one = garment.panel_of_particle[edges[crossings[:, 0], 0]]
     other = garment.panel_of_triangle[crossings[:, 1]]
     pairs = {(min(a, b), max(a, b)) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a != b}
+    no_room = np.full(garment.particle_count, np.inf)
+    touching = SelfContact(garment.triangles, garment.merged_indices, no_room, _TOUCHING).candidates(start, 0.0)[0]
+    one = garment.panel_of_particle[touching[:, 1]]
+    other = garment.panel_of_particle[np.where(touching[:, 0] == CLOTH_VERTEX, touching[:, 2], touching[:, 3])]
+    pairs |= {(min(a, b), max(a, b)) for a, b in zip(one.tolist(), other.tolist(), strict=True) if a != b}
     for a in range(len(panels)):
         for b in range(a + 1, len(panels)):
             if (a, b) not in pairs and panels[a].lies_on(panels[b], _ON_EACH_OTHER):

@@ -20,7 +20,7 @@ from cloth_core.closest_points import point_triangle
 from cloth_core.contact import ContactState
 from cloth_core.errors import BodyError
 from cloth_core.kernel import kernel
-from cloth_core.pair_contacts import PairContacts
+from cloth_core.pair_contacts import PairContacts, measure_pair
 
 __all__ = ["BodyMotion", "with_vertices"]
 
@@ -33,6 +33,9 @@ _BODY_SHARE = 0.45
 _LEAST_GAP = 0.0005
 # No search is made for more than this much of the motion at once, so that it looks smooth [s].
 _LONGEST_TIME = 1.0 / 240.0
+# Shortest distance whose direction is more than rounding [m], and the largest share of a speed that is rounding.
+_NO_DIRECTION = 1e-9
+_ROUNDING = 1e-7
 
 
 class BodyMotion:
@@ -75,6 +78,7 @@ class BodyMotion:
         self._elapsed = 0.0
         self._safe_time = 0.0
         self.velocity = self._way / self.duration
+        self._full_velocity = self.velocity
         self._speed = np.sqrt((self.velocity**2).sum(axis=1))
         self._highest_speed = float(self._speed.max())
         self.done = longest == 0.0
@@ -107,14 +111,16 @@ class BodyMotion:
         planes, pairs = contacts.planes, contacts.pairs
         planes.plane_count[:] = -1
         safe = _safe_time(
-            x, planes.start, planes.body_triangle, pairs, self.body.vertices, self.body.triangles, self._speed
-        )
+            x, planes.start, planes.body_triangle, pairs, self.body.vertices, self.body.triangles, self._speed,
+            self._full_velocity,
+        )  # fmt: skip
         if self._highest_speed > 0.0:
             # What is not listed is farther apart than half the offset beyond the reach of the cloth.
             clear = 0.5 * offset + 0.5 * float(contacts.travel.min())
             safe = min(safe, clear / self._highest_speed)
         self._safe_time = min(_BODY_SHARE * safe, _LONGEST_TIME)
-        return contacts._replace(travel=0.5 * contacts.travel)
+        near = contacts.near._replace(room=0.5 * contacts.near.room)
+        return contacts._replace(travel=0.5 * contacts.travel, near=near)
 
 
 def with_vertices(body: Body, vertices: Floats) -> Body:
@@ -138,17 +144,29 @@ def _safe_time(
     body_x: Floats,
     body_triangles: Ints,
     speed: Floats,
+    velocity: Floats,
 ) -> float:
-    """Shortest time [s] in which a body moving at `speed` (b,) [m/s] could reach cloth that the search found."""
+    """Shortest time [s] in which a body moving at `velocity` (b, 3) [m/s] could reach cloth that the search found.
+
+    Parts of body and cloth are convex: what does not move towards the plane between them never meets the cloth, so that
+    a body can always withdraw from what it has pinched. speed (b,): length of the velocities.
+    """
     shortest = np.inf
+    closest = np.zeros(3)
     for i in range(x.shape[0]):
         for entry in range(start[i], start[i + 1]):
             t = body_triangle[entry]
             a, b, c = body_triangles[t, 0], body_triangles[t, 1], body_triangles[t, 2]
             fastest = max(speed[a], max(speed[b], speed[c]))
             if fastest > 0.0:
-                squared = point_triangle(x[i], body_x[a], body_x[b], body_x[c])[0]
-                shortest = min(shortest, max(np.sqrt(squared) - _LEAST_GAP, 0.0) / fastest)
+                squared, k, m, n = point_triangle(x[i], body_x[a], body_x[b], body_x[c])
+                gap = max(np.sqrt(squared) - _LEAST_GAP, 0.0)
+                if gap < shortest * fastest:
+                    for axis in range(3):
+                        closest[axis] = x[i, axis] - k * body_x[a, axis] - m * body_x[b, axis] - n * body_x[c, axis]
+                    approach = max(_approach(a, velocity, closest), _approach(b, velocity, closest))
+                    approach = max(approach, _approach(c, velocity, closest))
+                    shortest = min(shortest, _time_to_close(gap, approach, fastest))
     for entry in range(pairs.listed_count[0]):
         s = pairs.listed[entry]
         a, b = pairs.body[s, 0], pairs.body[s, 1]
@@ -156,5 +174,27 @@ def _safe_time(
             continue
         fastest = max(speed[a], speed[b]) if b >= 0 else speed[a]
         if fastest > 0.0:
-            shortest = min(shortest, max(pairs.listed_distance[entry] - _LEAST_GAP, 0.0) / fastest)
+            gap = max(pairs.listed_distance[entry] - _LEAST_GAP, 0.0)
+            if gap < shortest * fastest:
+                measure_pair(x, pairs, s, body_x, closest)
+                approach = _approach(a, velocity, closest)
+                if b >= 0:
+                    approach = max(approach, _approach(b, velocity, closest))
+                shortest = min(shortest, _time_to_close(gap, approach, fastest))
     return shortest
+
+
+@kernel
+def _approach(i: int, velocity: Floats, closest: Floats) -> float:
+    """Speed of body vertex i along the vector between closest points (3,) [m/s]; inf where that has no direction."""
+    length = np.sqrt(closest[0] * closest[0] + closest[1] * closest[1] + closest[2] * closest[2])
+    if length < _NO_DIRECTION:
+        return np.inf
+    return float((velocity[i, 0] * closest[0] + velocity[i, 1] * closest[1] + velocity[i, 2] * closest[2]) / length)
+
+
+@kernel
+def _time_to_close(gap: float, approach: float, fastest: float) -> float:
+    """Time [s] for a gap [m]; approach at most `fastest` [m/s], and none that is only rounding."""
+    approach = min(approach, fastest)
+    return gap / approach if approach > _ROUNDING * fastest else np.inf

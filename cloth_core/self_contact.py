@@ -59,8 +59,9 @@ class SelfContact:
         While it is sewn, the gaps of its seams count as cloth: nothing can get between two edges that belong together.
         """
         count = int(number.max()) + 1
-        identity = np.zeros(count, dtype=np.int32)
-        identity[number] = garment.merged_indices
+        identity = np.arange(count, dtype=np.int32)
+        if sewing:
+            identity[number] = garment.merged_indices
         corner = garment.rest[garment.triangles]
         longest = np.max([np.linalg.norm(corner[:, k] - corner[:, k - 1], axis=1) for k in range(3)], axis=0)
         height = np.full(count, np.inf)

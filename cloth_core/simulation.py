@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cloth_core.coarse_start import Interpolation, interpolation_between
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
+from cloth_core.garment import Seam
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
@@ -272,12 +273,9 @@ class Simulation:
             self._sewing_began = coarse._sewing_began
             self._use(self.model, x, np.zeros_like(x))
             return stopped
-        closed = {seam.name for seam in coarse.model.closed}
-        model = Model(scene, closed=tuple(seam for seam in scene.garment.seams if seam.name in closed))
-        if self._crossings(model, x) == 0:
+        model = Model(scene, closed=scene.garment.seams)
+        if not coarse._open_seams and self._crossings(model, x) == 0:
             self.phase = DRAPING
-            self._open_seams = coarse._open_seams
-            self._warnings += coarse._warnings
             self._use(model, x, np.zeros_like(x))
         return stopped
 
@@ -396,8 +394,8 @@ class Simulation:
         if self._seeking_rest and self.phase != SEWING:
             if self._calming:
                 self._calm()
-            if self.model.softness < 1.0:
-                self._stiffen()
+        if self.model.softness < 1.0 and self.time - self._sewing_began > settings.closing_time:
+            self._stiffen()
         if self.phase == SEWING:
             self._sew()
         elif self._rest.due(self.time):
@@ -520,30 +518,40 @@ class Simulation:
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
-        model = self._merged(gaps, settings.merge_distance)
-        if (model.number != self.scene.garment.merged_indices).any() and not late:
+        choices = [self._merged(settings.merge_distance)]
+        if (choices[0].number != self.scene.garment.merged_indices).any() and not late:
             return
-        if self._crossings(model, self.positions) > self._crossings(self.model, self.positions):
-            if not late:
-                return
-            model = self._merged(gaps, settings.seam_tolerance)
-        closed = {seam.name for seam in model.closed}
+        if late:
+            choices += [
+                self._merged(limit) for limit in np.geomspace(settings.merge_distance, settings.seam_tolerance, 4)
+            ]
+        present = self._crossings(self.model, self.positions)
+        added = [self._crossings(model, self.positions) - present for model in choices]
+        if min(added) > 0 and not late:
+            return
+        model = choices[int(np.argmin(added))]
+        whole = {seam.name: len(seam.first) for seam in self.scene.garment.seams}
+        closed = {seam.name for seam in model.closed if len(seam.first) == whole[seam.name]}
         self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
         for name, gap in self._open_seams.items():
             self._warnings.append(f"seam {name}: still {1000 * gap:.1f} mm open after {self.time:.2g} s; it stays open")
         self.phase = DRAPING
         self._use(model, self.positions, np.asarray(self._v[self.model.number]))
 
-    def _merged(self, gaps: dict[str, float], limit: float) -> Model:
-        """The model in which all seams narrower than limit [m] are merged."""
-        return Model(self.scene, closed=tuple(s for s in self.scene.garment.seams if gaps[s.name] <= limit))
+    def _merged(self, limit: float) -> Model:
+        """The model in which all seam points nearer to each other than limit [m] are merged."""
+        x = self.positions
+        near = [np.linalg.norm(x[s.first] - x[s.second], axis=1) <= limit for s in self.scene.garment.seams]
+        parts = zip(self.scene.garment.seams, near, strict=True)
+        return Model(self.scene, closed=tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in parts if k.any()))
 
     def _crossings(self, model: Model, unsewn_x: Floats) -> int:
         """Sides that pass through the body or the cloth when positions (n, 3) are put into a model's numbering."""
         x = model.gather(unsewn_x, self.scene.garment.particle_areas)
-        # Triangles that will share a point once sewn are neighbours already.
-        identity = np.zeros(model.particle_count, dtype=np.int32)
-        identity[model.number] = self.scene.garment.merged_indices
+        identity = None
+        if model.sewing:  # triangles that will share a point once sewn are neighbours already
+            identity = np.zeros(model.particle_count, dtype=np.int32)
+            identity[model.number] = self.scene.garment.merged_indices
         crossings = len(self_crossing_edges(x, model.triangles, identity))
         body = self.scene.body
         if body is not None:

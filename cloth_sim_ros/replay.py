@@ -33,6 +33,8 @@ __all__ = ["ReplayDifference", "Verification", "replay_log", "verify_log"]
 OnTick = Callable[[Simulation], None]
 
 _NOT_COMPARED = ("wall_time", "rest_reason")
+# Of a term: what is measured anew in each run.
+_MEASURED_ANEW = ("microseconds_per_step", "share", "within")
 """Of a report: what a clock measures, and in which words the run ended. Of `terms`, all but the cost is compared."""
 
 
@@ -358,7 +360,7 @@ class _Comparison:
 
 def _comparable(key: str, value: Any) -> Any:
     if key == "terms" and isinstance(value, dict):
-        return {name: {k: v for k, v in term.items() if k != "microseconds_per_step"} for name, term in value.items()}
+        return {name: {k: v for k, v in term.items() if k not in _MEASURED_ANEW} for name, term in value.items()}
     return None if key in _NOT_COMPARED else value
 
 

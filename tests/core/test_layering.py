@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from apparatus import body_of, pattern, rectangle, sides_through
+from apparatus import GRAVITY, body_of, pattern, rectangle, sides_through
 
 from cloth_core.body import Body
 from cloth_core.garment import Garment
@@ -13,7 +13,9 @@ from cloth_core.intersections import self_crossing_edges
 from cloth_core.layering import separate_panels
 from cloth_core.pattern import Pattern
 from cloth_core.placement import clear_of_body
+from cloth_core.quality import Settings
 from cloth_core.scene import Scene
+from cloth_core.simulation import Simulation
 
 GAP = 0.01
 
@@ -68,12 +70,25 @@ def test_panels_that_lie_on_each_other_are_moved_apart():
     assert "moved 10 mm outwards" in apart.warnings[0]
 
 
+def side_by_side(distance: float = 0.0) -> dict:
+    """Two panels with a line in common, or with a gap."""
+    return {"left": rectangle(0.4, 0.4, at=(-0.2, 1, 0.3)), "right": rectangle(0.4, 0.4, at=(0.2 + distance, 1, 0.3))}
+
+
 def test_panels_side_by_side_stay_where_they_are():
-    # They share a line, once sewn to each other and once not.
-    side_by_side = {"left": rectangle(0.4, 0.4, at=(-0.2, 1, 0.3)), "right": rectangle(0.4, 0.4, at=(0.2, 1, 0.3))}
-    for stitches in ((), [(("left", 1), ("right", 3))]):
-        given = garment(side_by_side, stitches)
+    for given in (garment(side_by_side(), [(("left", 1), ("right", 3))]), garment(side_by_side(1e-4))):
         assert separate_panels(given, [0, 0], GAP) is given
+
+
+def test_panels_that_touch_and_are_not_sewn_are_moved_apart_and_free_to_fall():
+    # At no distance at all, contact could let neither of them move.
+    scene = Scene.build(pattern(side_by_side()), settings=Settings(spacing=0.05), air_drag=0.0)
+    assert len(scene.warnings) == 1
+    assert "panel 'right': starts across or behind panel 'left'; moved 10 mm outwards" in scene.warnings[0]
+    simulation = Simulation(scene)
+    simulation.advance(0.1)
+    fallen = (scene.garment.start - simulation.positions)[:, 2]
+    np.testing.assert_allclose(fallen, GRAVITY * 0.1**2 / 2, rtol=0.02)
 
 
 def test_seam_that_starts_with_a_small_overlap_is_no_crossing():

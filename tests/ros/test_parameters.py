@@ -90,7 +90,8 @@ def quality(client, change):
 
 def tolerance(client, change):
     change("tolerance", 8.0)
-    assert reset(client)["scene"]["spacing"] == QUALITIES["normal"]
+    allowed = settings_for("normal", 0.008, Cloth.of(PATTERN_AREA, Fabric.preset("cotton_poplin")))
+    assert reset(client)["scene"]["spacing"] == allowed.spacing
 
 
 def gravity(client, change):

@@ -1,0 +1,227 @@
+"""The search for contacts of cloth with itself: which pairs it finds and leaves out, and how far particles may travel.
+
+Against all pairs with textbook formulas.
+"""
+
+from typing import NamedTuple
+
+import naive_geometry
+import numpy as np
+import pytest
+from apparatus import pattern, plain_fabric, rectangle, sheet
+from scipy.spatial.transform import Rotation
+
+from cloth_core.contact import Contact, keep_within_travel
+from cloth_core.garment import Garment
+from cloth_core.model import Model
+from cloth_core.near_planes import NEAR
+from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
+from cloth_core.scene import Scene
+from cloth_core.self_contact import SelfContact
+
+OFFSET = 0.001
+
+
+class AllPairs(NamedTuple):
+    """Each vertex against each triangle, each side against each other one, without a common corner.
+
+    rows (k, 4): vertex and the triangle's corners, or two of each side; parts: how many of them are the first part's.
+    """
+
+    vertices: np.ndarray
+    vertex_distance: np.ndarray
+    sides: np.ndarray
+    side_distance: np.ndarray
+
+
+def all_pairs(x: np.ndarray, triangles: np.ndarray, identity: np.ndarray) -> AllPairs:
+    used = np.unique(triangles)
+    i, t = (a.ravel() for a in np.meshgrid(used, np.arange(len(triangles)), indexing="ij"))
+    vertices = np.column_stack([i, triangles[t]])
+    sides = np.unique(np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1), axis=0)
+    one, other = np.triu_indices(len(sides), 1)
+    pairs = np.column_stack([sides[one], sides[other]])
+    vertices = vertices[(identity[vertices[:, :1]] != identity[vertices[:, 1:]]).all(axis=1)]
+    ends = identity[pairs]
+    pairs = pairs[(ends[:, :2, None] != ends[:, None, 2:]).all(axis=(1, 2))]
+    p, e = x[vertices], x[pairs]
+    return AllPairs(
+        vertices,
+        np.sqrt(naive_geometry.point_triangle_distance(p[:, 0], p[:, 1], p[:, 2], p[:, 3])),
+        pairs,
+        np.sqrt(naive_geometry.edge_edge_distance(e[:, 0], e[:, 1], e[:, 2], e[:, 3])),
+    )
+
+
+def vertex_key(rows: np.ndarray) -> set[tuple[int, ...]]:
+    return {(p, *sorted(t)) for p, *t in rows.tolist()}
+
+
+def side_key(rows: np.ndarray) -> set[tuple[tuple[int, int], ...]]:
+    return {tuple(sorted([tuple(sorted(r[:2])), tuple(sorted(r[2:]))])) for r in rows.tolist()}
+
+
+def crumpled(garment: Garment, seed: int) -> np.ndarray:
+    """The particles anywhere in a ball of half the garment's size, neighbours not too far from each other."""
+    rng = np.random.default_rng(seed)
+    x = garment.start - garment.start.mean(axis=0)
+    x = 0.6 * x @ Rotation.random(random_state=seed).as_matrix()
+    for wave in rng.normal(size=(6, 3)):
+        x = x + 0.02 * rng.normal(size=3) * np.sin(60 * (x @ wave) + rng.uniform(0, 6))[:, None]
+    return np.asarray(x + 0.002 * rng.normal(size=x.shape))
+
+
+def search_of(garment: Garment) -> SelfContact:
+    return SelfContact.of(garment, np.arange(garment.particle_count), garment.triangles, OFFSET, sewing=False)
+
+
+# ---- which pairs
+
+
+@pytest.mark.parametrize("radius", [0.001, 0.006, 0.03])
+@pytest.mark.parametrize("seed", range(3))
+def test_search_finds_all_pairs_within_reach_and_no_others(seed, radius):
+    garment = sheet(0.16, 0.16, 0.02)
+    x = crumpled(garment, seed)
+    rows, _, distance = search_of(garment).candidates(x, radius)
+    expected = all_pairs(x, garment.triangles, garment.merged_indices)
+    reach = OFFSET + 2.0 * radius
+    for kind, key, every, far in (
+        (CLOTH_VERTEX, vertex_key, expected.vertices, expected.vertex_distance),
+        (CLOTH_SIDE, side_key, expected.sides, expected.side_distance),
+    ):
+        of_kind = rows[:, 0] == kind
+        found = rows[of_kind, 1:5]
+        near = key(every[far < reach * (1 - 1e-9)])
+        assert len(near) > 20
+        assert near <= key(found)
+        assert key(found) <= key(every[far < reach * (1 + 1e-9)])
+        assert len(key(found)) == len(found)  # each once
+    p = x[rows[:, 1:5]].transpose(1, 0, 2)
+    exact = np.where(
+        rows[:, 0] == CLOTH_VERTEX, naive_geometry.point_triangle_distance(*p), naive_geometry.edge_edge_distance(*p)
+    )
+    np.testing.assert_allclose(distance, np.sqrt(exact), atol=1e-9)
+    assert (rows[:, 5:] == -1).all()
+
+
+TUBE = {
+    "front": rectangle(0.2, 0.15, at=(0, 0.5, 0.03)),
+    "back": rectangle(0.2, 0.15, at=(0, 0.5, -0.03), turned=(0, 180, 0)),
+}
+SIDES = [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))]
+
+
+@pytest.mark.parametrize("stitches", [[], SIDES], ids=["loose", "sewn"])
+@pytest.mark.parametrize("closed", [False, True], ids=["open", "merged"])
+def test_left_out_is_what_has_a_corner_in_common_once_everything_is_sewn(stitches, closed):
+    # With a reach beyond the whole garment only the topology decides.
+    garment = Garment.from_pattern(pattern(TUBE, stitches), 0.05)
+    model = Model(Scene(garment=garment, fabric=plain_fabric()), closed=garment.seams if closed else ())
+    assert model.contact is not None
+    assert model.contact.cloth is not None
+    x = model.gather(garment.start, garment.particle_areas)
+    rows, _, _ = model.contact.cloth.candidates(x, 10.0)
+    sewn = np.zeros(model.particle_count, dtype=int)
+    sewn[model.number] = garment.merged_indices
+    expected = all_pairs(x, model.triangles, sewn)
+    assert vertex_key(rows[rows[:, 0] == CLOTH_VERTEX, 1:5]) == vertex_key(expected.vertices)
+    assert side_key(rows[rows[:, 0] == CLOTH_SIDE, 1:5]) == side_key(expected.sides)
+
+
+def test_gaps_of_open_seams_count_as_cloth_while_they_are_sewn():
+    garment = Garment.from_pattern(pattern(TUBE, SIDES), 0.05)
+    model = Model(Scene(garment=garment, fabric=plain_fabric()), sewing=True)
+    assert model.contact is not None
+    assert model.contact.cloth is not None
+    with_gaps = model.contact.cloth.triangles
+    cloth = len(garment.triangles)
+    np.testing.assert_array_equal(with_gaps[:cloth], model.triangles)
+    gaps = garment.start[with_gaps[cloth:]]
+    # Two walls of 6 x 15 cm close the tube at x = -10 and 10 cm: they are tiled without a hole or overlap.
+    area = 0.5 * np.linalg.norm(np.cross(gaps[:, 1] - gaps[:, 0], gaps[:, 2] - gaps[:, 0]), axis=1)
+    for side in (-0.1, 0.1):
+        wall = (np.abs(gaps[:, :, 0] - side) < 1e-9).all(axis=1)
+        assert area[wall].sum() == pytest.approx(0.06 * 0.15)
+        middle = gaps[wall].mean(axis=1)
+        np.testing.assert_allclose(middle[:, 2].mean(), 0.5, atol=1e-9)
+    assert area.sum() == pytest.approx(2 * 0.06 * 0.15)
+    # And pairs with them are found by the same rule.
+    sewn = garment.merged_indices
+    rows, _, _ = model.contact.cloth.candidates(garment.start, 10.0)
+    expected = all_pairs(garment.start, with_gaps, sewn)
+    assert vertex_key(rows[rows[:, 0] == CLOTH_VERTEX, 1:5]) == vertex_key(expected.vertices)
+    assert side_key(rows[rows[:, 0] == CLOTH_SIDE, 1:5]) == side_key(expected.sides)
+
+
+def test_offset_is_less_only_where_parts_are_neighbours():
+    # A triangle of the lattice is 2 cm / sqrt(2) high: neighbours rest farther apart than any offset here. With an
+    # offset that they have no room for they get less, and nobody else does.
+    garment = sheet(0.1, 0.1, 0.02)
+    search = SelfContact.of(garment, np.arange(garment.particle_count), garment.triangles, 0.01, sewing=False)
+    rows, offset, _ = search.candidates(garment.start, 10.0)
+    sides = np.concatenate([garment.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    joined = np.zeros((garment.particle_count,) * 2, dtype=bool)
+    joined[sides[:, 0], sides[:, 1]] = joined[sides[:, 1], sides[:, 0]] = True
+    p, q, a, b = rows[:, 1:5].T
+    vertex = rows[:, 0] == CLOTH_VERTEX
+    near = np.where(
+        vertex, joined[p, q] | joined[p, a] | joined[p, b], joined[p, a] | joined[p, b] | joined[q, a] | joined[q, b]
+    )
+    height = 0.02 / np.sqrt(2)
+    np.testing.assert_allclose(offset[near], 0.3 * height)
+    np.testing.assert_allclose(offset[~near], 0.01)
+    # Nothing is held farther apart than it lies at rest.
+    _, _, distance = search.candidates(garment.start, 10.0)
+    assert (offset[near] < distance[near]).all()
+
+
+# ---- how far particles may travel
+
+
+def free_ways(x: np.ndarray, travel: np.ndarray, every: AllPairs) -> tuple[np.ndarray, np.ndarray]:
+    """For all pairs how far both parts together may travel, and their distance."""
+    v, e = travel[every.vertices], travel[every.sides]
+    together = np.concatenate([v[:, 0] + v[:, 1:].max(axis=1), e[:, :2].max(axis=1) + e[:, 2:].max(axis=1)])
+    return together, np.concatenate([every.vertex_distance, every.side_distance])
+
+
+def touching(every: AllPairs) -> np.ndarray:
+    """Particles of pairs that nearly touch."""
+    return np.concatenate(
+        [every.vertices[every.vertex_distance <= NEAR], every.sides[every.side_distance <= NEAR]]
+    ).ravel()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("uneven", [False, True], ids=["same reach", "each its own"])
+def test_two_parts_together_may_never_travel_as_far_as_they_are_apart(seed, uneven):
+    # What makes tunnelling impossible; also after moves in which the pairs of an earlier search are used again.
+    rng = np.random.default_rng(seed)
+    garment = sheet(0.16, 0.16, 0.02)
+    x = crumpled(garment, seed)
+    contact = Contact(garment.triangles, None, search_of(garment), radius=0.006)
+    for _ in range(12):
+        reach = 0.006 * (rng.uniform(size=len(x)) if uneven else 1.0)
+        found = contact.search(x, reach)
+        travel = found.travel
+        every = all_pairs(x, garment.triangles, garment.merged_indices)
+        together, distance = free_ways(x, travel, every)
+        # What nearly touches is bounded in direction instead: see test_pinched.py.
+        apart = distance > NEAR
+        assert (together[apart] <= 0.95 * distance[apart]).all()
+        assert (travel <= reach).all()
+        if not uneven:
+            # No particle goes half as far as to anything, and it may go nearly so far.
+            free = np.full(len(x), np.inf)
+            for rows, far in ((every.vertices, every.vertex_distance), (every.sides, every.side_distance)):
+                np.minimum.at(free, rows[far > NEAR].ravel(), np.repeat(far[far > NEAR], 4))
+            assert (travel <= 0.45 * free + 1e-12).all()
+            assert (travel >= np.minimum(0.44 * free, 0.2 * reach))[~np.isin(np.arange(len(x)), touching(every))].all()
+        way = rng.normal(size=x.shape)
+        way *= (travel * rng.uniform(0.5, 1.2, len(x)) / np.linalg.norm(way, axis=1))[:, None]
+        x = x + way
+        keep_within_travel(x, np.zeros_like(x), found, np.zeros(len(x)))
+        assert (np.linalg.norm(x - found.origin, axis=1) <= travel * (1 + 1e-12)).all()
+    assert contact.narrow_phases == 12
+    assert 1 < contact.broad_phases < 12
