@@ -166,7 +166,8 @@ def grown(rows: list[dict[str, Any]]) -> list[str]:
         "",
         f"Scene A, processor time on one thread. The time of a step grows with exponent "
         f"{slope(rows, 'step_us'):.2f} over all, {slope(rows[1:], 'step_us'):.2f} without the smallest, where calls "
-        f"count most, and {slope(rows[-2:], 'step_us'):.2f} between the two largest: there the rows no longer fit the caches.",
+        f"count most, and {slope(rows[-2:], 'step_us'):.2f} between the two largest: there the "
+        "rows no longer fit the caches.",
         "",
         "| particles | step | per particle | estimate of the stable step | setting up | memory per particle |",
         "|---|---|---|---|---|---|",
@@ -201,8 +202,8 @@ def drapes(rows: list[dict[str, Any]]) -> list[str]:
         "## C: T-shirt on the young woman until rest",
         "",
         "Cotton poplin, `settle()`; set-up of the simulation included, compilation not. None of the others reads a "
-        "sewing pattern or sews; a comparison would be one of set-ups, so there is none. A case that was stopped includes "
-        "compilation in its time limit.",
+        "sewing pattern or sews; a comparison would be one of set-ups, so there is none. A case that was "
+        "stopped includes compilation in its time limit.",
         "",
         "| spacing | particles | processor | wall | steps | simulated | at rest | strain | through body, self |",
         "|---|---|---|---|---|---|---|---|---|",
