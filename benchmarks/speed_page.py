@@ -16,25 +16,29 @@ TITLES = {"hang": "A: hung from two corners", "sphere": "B: dropped on a sphere"
 
 NOTES = """
 Springs and bending go over eight particles at a time (`cloth_core/lanes.py`). Written as plain loops they were
-vectorised by LLVM as well, at full width, but with root and division of the processor, with checks before each run of
-the lattice that no two arrays overlap, and with the last elements of each run one by one. At 128 x 128, measured in
-turn at equal load: damped springs 183 to 138 us, undamped 148 to 112 us, bending 70 to 62 us.
+vectorised by LLVM as well, at full width, but with root and division of the processor, with checks before each run
+of the lattice that no two arrays overlap, and with the last elements of each run one by one. At 128 x 128, old and
+new in turn in one process: damped springs 179 to 134 us, undamped 149 to 116 us. The other figures below are from
+separate runs minutes apart, under a load that changed. Bending: 70 to 62 us.
 
-Much of the rest of a step was moving data: the state changed between a row for each particle and a row for each axis
-twice in every step. It now stays by axis as long as nothing can touch (85 to about 27 us at 128 x 128). Rows of
-16,384 numbers also lay a multiple of 4 kB apart, so that 18 of them competed for 8 places of the first-level cache;
-those of the workspace are now shifted against each other (damped springs inside a run: 165 to between 115 and 140
-us). A step as a whole went from 373 to 230 us.
+Much of the rest of a step was moving data: the state changed between a row for each particle and a row for each
+axis twice in every step. It now stays by axis as long as nothing can touch (85 to about 27 us at 128 x 128). Rows
+of 16,384 numbers also lay a multiple of 4 kB apart, so that 18 of them competed for 8 places of the first-level
+cache; those of the workspace are now shifted against each other (damped springs inside a run: 165 to between 115
+and 140 us). A step as a whole went from 373 to 230 us.
 
 Outside of the steps it was the estimate of the stable time step, 60 times a simulated second: more than the steps
-themselves at 128 x 128, most of it in BLAS, whose threads wait for each other on a busy machine. Scene A at 128 x 128
-took 25 s per s at 200 N/m with it and 5.4 without (wall; 16 and 3.2 s of processor time).
+themselves at 128 x 128, most of it in BLAS, whose threads wait for each other on a busy machine. The first 0.2 s of
+scene A at 128 x 128 and 200 N/m, under a profiler: 16 s of processor time per s with it, 3.2 without.
 
 With contact the state is still copied in each step, and the search for contacts costs more than everything else.
 
 What remains between this and the C program: forces are added to both ends of a spring through memory (the program
 computes each spring twice instead and adds in registers), the rim is a list, and bending takes three passes over
 memory, one for each axis.
+
+In the table below, the row of 20 mm is from a run of its own right after the others: in theirs it reached the time
+limit.
 """
 
 
@@ -164,7 +168,10 @@ def grown(rows: list[dict[str, Any]]) -> list[str]:
         "",
         "## Growth",
         "",
-        f"Scene A, processor time on one thread. The time of a step grows with exponent {slope(rows, 'step_us'):.2f}.",
+        f"Scene A, processor time on one thread. The time of a step grows with exponent "
+        f"{slope(rows, 'step_us'):.2f} over all, {slope(rows[1:], 'step_us'):.2f} without the smallest, where calls "
+        f"count most, and {slope(rows[-2:], 'step_us'):.2f} between the two largest: there the "
+        "rows no longer fit the caches.",
         "",
         "| particles | step | per particle | estimate of the stable step | setting up | memory per particle |",
         "|---|---|---|---|---|---|",
@@ -199,7 +206,8 @@ def drapes(rows: list[dict[str, Any]]) -> list[str]:
         "## C: T-shirt on the young woman until rest",
         "",
         "Cotton poplin, `settle()`; set-up of the simulation included, compilation not. None of the others reads a "
-        "sewing pattern or sews; a comparison would be one of set-ups, so there is none.",
+        "sewing pattern or sews; a comparison would be one of set-ups, so there is none. A case that was "
+        "stopped includes compilation in its time limit.",
         "",
         "| spacing | particles | processor | wall | steps | simulated | at rest | strain | through body, self |",
         "|---|---|---|---|---|---|---|---|---|",

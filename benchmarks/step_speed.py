@@ -143,7 +143,6 @@ def kernels(simulation: Simulation) -> dict[str, float]:
     x, v, limit, dt = s._x.copy(), s._v.copy(), s._terms.strain_limit, s.time_step
     total_force(x, v, t, 0.0, w)
     result = {
-        "step": step_microseconds(s),
         "springs": microseconds(lambda: spring_forces(w.x, w.v, t.springs, t.spring_damping_time, w.force, w.scratch)),
         "bending": microseconds(
             lambda: bending_forces(w.ahead, t.lines, t.hinges, t.hinge_weights, t.hinge_stiffness, w.force, w.scratch)
@@ -152,7 +151,9 @@ def kernels(simulation: Simulation) -> dict[str, float]:
         "Euler by axis": microseconds(lambda: euler_by_axis(w.x, w.v, w.force, 0.0 * t.inverse_mass, dt)),
         "strain limit": microseconds(lambda: hold_strain(x, v, t.inverse_mass, t.spring_pairs, limit, dt)),
     }
-    if s._contact_settings.active:
+    if not s._contact_settings.active:  # where there is contact it returns early on a copy whose way is used up
+        result = {"step": step_microseconds(s), **result}
+    else:
         result["Euler by particle"] = microseconds(lambda: semi_implicit_euler(x, v, w.force, 0.0 * t.inverse_mass, dt))
         result["contact response"] = microseconds(
             lambda: resolve_contacts(x, v, t.inverse_mass, s._contacts, s._contact_settings, dt, s._moved)
