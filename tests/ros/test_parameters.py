@@ -9,8 +9,9 @@ from node_client import Client, NodeProcess
 from rosgraph_msgs.msg import Clock
 from small_scenes import BOX_TRIANGLES, BOX_VERTICES, handkerchief
 
+from cloth_core.calibration import Cloth
 from cloth_core.fabric import Fabric
-from cloth_core.quality import QUALITIES
+from cloth_core.quality import QUALITIES, settings_for
 from cloth_sim_ros.messages import decode_marker, encode_mesh, encode_string
 from cloth_sim_ros.node_parameters import PARAMETERS
 
@@ -90,8 +91,9 @@ def quality(client, change):
 
 def tolerance(client, change):
     change("tolerance", 8.0)
-    allowed = settings_for("normal", 0.008, Cloth.of(PATTERN_AREA, Fabric.preset("cotton_poplin")))
-    assert reset(client)["scene"]["spacing"] == allowed.spacing
+    area = reset(client)["scene"]["area"]
+    allowed = settings_for("normal", 0.008, Cloth.of(area, Fabric.preset("cotton_poplin"))).spacing
+    assert reset(client)["scene"]["spacing"] == allowed
 
 
 def gravity(client, change):
