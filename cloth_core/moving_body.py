@@ -83,10 +83,6 @@ class BodyMotion:
         self._highest_speed = float(self._speed.max())
         self.done = longest == 0.0
 
-    def steps(self, dt: float, count: int) -> int:
-        """How many of `count` steps of dt [s] may be done before the next search; at least one."""
-        return max(1, min(count, int(self._safe_time / dt)))
-
     def advance(self, time: float) -> Body:
         """Takes the body on by `time` [s], or by what is safe if that is less."""
         safe = min(time, self._safe_time)

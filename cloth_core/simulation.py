@@ -366,7 +366,7 @@ class Simulation:
             motion, steps = self._body_motion, self.grasps.steps(count - done)
             if motion is not None:
                 # One step at a time: to the contacts the body stands where it was at the search.
-                steps = motion.steps(dt, 1)
+                steps = 1
             step = min(dt, self._flight_step)
             self._rescale_impulses(step)
             if self.grasps:
