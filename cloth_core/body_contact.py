@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, overlapping_pairs
 from cloth_core.body import Body
-from cloth_core.closest_points import point_triangle, segment_segment
+from cloth_core.closest_points import outside_box, point_triangle, segment_segment
 from cloth_core.errors import SceneError
 from cloth_core.intersections import crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
@@ -154,16 +154,16 @@ def _candidates(
         if vertex_count + 3 > vertex_pairs.shape[0]:
             vertex_pairs, vertex_distance = doubled(vertex_pairs), doubled_lengths(vertex_distance)
         for k in range(3):
-            if cloth.owns_vertex[ct, k]:
-                i = triangles[ct, k]
+            i = triangles[ct, k]
+            if cloth.owns_vertex[ct, k] and not outside_box(x[i], body_x[b0], body_x[b1], body_x[b2], vertex_reach):
                 squared = point_triangle(x[i], body_x[b0], body_x[b1], body_x[b2])[0]
                 if squared < vertex_reach * vertex_reach:
                     vertex_pairs[vertex_count, 0] = i
                     vertex_pairs[vertex_count, 1] = bt
                     vertex_distance[vertex_count, 0] = np.sqrt(squared)
                     vertex_count += 1
-            if body.owns_vertex[bt, k]:
-                j = body_triangles[bt, k]
+            j = body_triangles[bt, k]
+            if body.owns_vertex[bt, k] and not outside_box(body_x[j], x[c0], x[c1], x[c2], side_reach):
                 squared = point_triangle(body_x[j], x[c0], x[c1], x[c2])[0]
                 if squared < side_reach * side_reach:
                     write_pair(sides, side_count, BODY_VERTEX, c0, c1, c2, -1, j, -1)

@@ -31,8 +31,9 @@ Ints = NDArray[np.int32]
 _LONGEST_STEP = 1.0 / 480.0
 # Structural stiffness that stands for none [N/m].
 _NEXT_TO_NONE = 1e-3
-# How far particles may move between two broad phases of contact: at most this [m], and this share of the particle
-# spacing, so that flat cloth has no candidates against itself.
+# How far particles may move between two broad phases of contact [m]: with the body alone, and with cloth too, where it
+# is also at most this share of the particle spacing, so that flat cloth has no candidates against itself.
+_BODY_SEARCH_RADIUS = 0.015
 _SEARCH_RADIUS = 0.006
 _SEARCH_RADIUS_SHARE = 0.275
 
@@ -116,6 +117,7 @@ class Model:
         self.contact: Contact | None = None
         if body is not None or cloth is not None:
             radius = min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing)
+            radius = _BODY_SEARCH_RADIUS if cloth is None else radius
             self.contact = Contact(self.triangles, body, cloth, radius=radius)
         self.terms = marked_off(self._terms(closed), without)
 

@@ -1,7 +1,7 @@
 """Cloth against cloth: the search for pairs, by the same tree of boxes as against the body (paper, step 6).
 
-Left out, by topology and nothing else, are pairs that have a corner in common, in the numbering in which everything is
-sewn: they cannot be apart. Pairs whose corners are neighbours are kept, at an offset that the rest shape leaves room
+Left out, by topology and nothing else, are pairs that have a corner in common, while sewing in the numbering in which
+everything is sewn: they cannot be apart. Pairs whose corners are neighbours are kept, at an offset that the rest shape leaves room
 for.
 """
 
@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
-from cloth_core.closest_points import point_triangle, segment_segment
+from cloth_core.closest_points import outside_box, point_triangle, segment_segment
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 from cloth_core.intersections import crossed_triangles, self_crossing_edges
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import Representatives, representatives
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 from cloth_core.pair_list import doubled, doubled_lengths, write_pair
@@ -177,18 +177,6 @@ def self_overlapping_pairs(tree: AabbTree, pairs: Ints, most: int = 2**62) -> in
     return found
 
 
-@inlined_kernel
-def _outside(x: Floats, i: int, a: int, b: int, c: int, reach: float) -> bool:
-    """Whether point i is farther than reach from the box of a, b and c along some axis."""
-    outside = False
-    for axis in range(3):
-        value = x[i, axis]
-        low = min(x[a, axis], min(x[b, axis], x[c, axis]))
-        high = max(x[a, axis], max(x[b, axis], x[c, axis]))
-        outside = outside or value < low - reach or value > high + reach
-    return outside
-
-
 @kernel
 def _are_neighbours(start: Ints, neighbours: Ints, i: int, j: int) -> bool:
     for entry in range(start[i], start[i + 1]):
@@ -227,7 +215,7 @@ def _candidates(
                     continue
                 i = triangles[one, k]
                 li = identity[i]
-                if li == la or li == lb or li == lc or _outside(x, i, a, b, c, reach):
+                if li == la or li == lb or li == lc or outside_box(x[i], x[a], x[b], x[c], reach):
                     continue
                 squared = point_triangle(x[i], x[a], x[b], x[c])[0]
                 if squared >= squared_reach:

@@ -42,9 +42,9 @@ SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
 _TICK_STEPS = 32
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
-# Steps that a particle can go on at its speed before contacts are searched again, and the limits of its way [m].
+# Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
 _STEPS_PER_SEARCH = 60
-_LEAST_REACH, _MOST_REACH = 0.001, 0.006
+_LEAST_REACH = 0.001
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _SEWING_INTERVAL = 0.05
 _STALLED = 0.9
@@ -472,7 +472,7 @@ class Simulation:
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
         speed = np.sqrt((self._v**2).sum(axis=1))
-        reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, _MOST_REACH)
+        reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, self.model.contact.radius)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
         if self._body_motion is not None:

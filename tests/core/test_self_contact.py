@@ -114,17 +114,16 @@ SIDES = [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))]
 
 @pytest.mark.parametrize("stitches", [[], SIDES], ids=["loose", "sewn"])
 @pytest.mark.parametrize("closed", [False, True], ids=["open", "merged"])
-def test_left_out_is_what_has_a_corner_in_common_once_everything_is_sewn(stitches, closed):
-    # With a reach beyond the whole garment only the topology decides.
+def test_left_out_is_what_has_a_corner_in_common(stitches, closed):
+    # With a reach beyond the whole garment only the topology decides. A seam that has been given up is a gap like any
+    # other: its edges are kept apart.
     garment = Garment.from_pattern(pattern(TUBE, stitches), 0.05)
     model = Model(Scene(garment=garment, fabric=plain_fabric()), closed=garment.seams if closed else ())
     assert model.contact is not None
     assert model.contact.cloth is not None
     x = model.gather(garment.start, garment.particle_areas)
     rows, _, _ = model.contact.cloth.candidates(x, 10.0)
-    sewn = np.zeros(model.particle_count, dtype=int)
-    sewn[model.number] = garment.merged_indices
-    expected = all_pairs(x, model.triangles, sewn)
+    expected = all_pairs(x, model.triangles, np.arange(model.particle_count))
     assert vertex_key(rows[rows[:, 0] == CLOTH_VERTEX, 1:5]) == vertex_key(expected.vertices)
     assert side_key(rows[rows[:, 0] == CLOTH_SIDE, 1:5]) == side_key(expected.sides)
 
