@@ -1,8 +1,8 @@
 """Cloth against cloth: the search for pairs, by the same tree of boxes as against the body (paper, step 6).
 
 Left out, by topology and nothing else, are pairs that have a corner in common, while sewing in the numbering in which
-everything is sewn: they cannot be apart. Pairs whose corners are neighbours are kept, at an offset that the rest shape leaves room
-for.
+everything is sewn: they cannot be apart. Pairs whose corners are neighbours are kept, at an offset that the rest shape
+leaves room for.
 """
 
 from __future__ import annotations
