@@ -176,9 +176,8 @@ def run_steps(
         total_force(x, v, terms, openness, work)
         semi_implicit_euler(x, v, work.force, terms.inverse_mass, dt)
         repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-        hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-        # After the strain limit: where both cannot hold, cloth stretches rather than being pressed into each other.
         spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
+        hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
         if keep_within_travel(x, v, contacts, moved) or spent:
             return step + 1
