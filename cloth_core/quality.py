@@ -55,8 +55,8 @@ class Settings:
     sewing_time: float = 3.0
     seam_tolerance: float = 0.001
     merge_distance: float = 0.01
-    rest_displacement: float = 0.00025
-    rest_window: float = 0.05
+    rest_displacement: float = 0.0005
+    rest_window: float = 0.1
     max_time: float = 20.0
     settle_drag: float = 10.0
 

@@ -34,14 +34,15 @@ class RestWatch:
         displacement: at rest when no particle moves, or in its swing will move, farther than this [m] in a window.
         window: length of a window [s].
         slowest: frequency of the slowest swing [rad/s].
+        drag: air drag [1/s] that holds the motion back meanwhile: what pulls at a particle is m (a + drag v).
 
     Attributes:
         movement: farthest way of any particle in the last window [m]; None before the first one has ended.
         ratio: of the last two such ways; None before.
     """
 
-    def __init__(self, displacement: float, window: float, slowest: float) -> None:
-        self._displacement, self._window, self._slowest = displacement, window, slowest
+    def __init__(self, displacement: float, window: float, slowest: float, drag: float = 0.0) -> None:
+        self._displacement, self._window, self._slowest, self._drag = displacement, window, slowest, drag
         self._times: list[float] = []
         self._positions: list[Floats] = []
         self.movement: float | None = None
@@ -67,7 +68,7 @@ class RestWatch:
             return False
         (x0, x1, x2), (t0, t1, t2) = self._positions, self._times
         before, now = (x1 - x0) / (t1 - t0), (x2 - x1) / (t2 - t1)
-        acceleration = (now - before) / ((t2 - t0) / 2.0)
+        acceleration = (now - before) / ((t2 - t0) / 2.0) + self._drag * now
         highest_speed = np.sqrt((now**2).sum(axis=1) + (acceleration**2).sum(axis=1) / self._slowest**2)
         return float(highest_speed.max()) * self._window <= self._displacement
 

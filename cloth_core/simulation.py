@@ -560,7 +560,7 @@ class Simulation:
         settings, gravity = self.scene.settings, self.scene.gravity
         height = float(np.ptp(self._x @ np.array(gravity))) / max(float(np.linalg.norm(gravity)), 1e-12)
         slowest = slowest_swing(gravity, height)
-        self._rest = RestWatch(settings.rest_displacement, settings.rest_window, slowest)
+        self._rest = RestWatch(settings.rest_displacement, settings.rest_window, slowest, self._air_drag())
         self._rest.open(self.time, self._x)
 
     def _check_rest(self) -> None:

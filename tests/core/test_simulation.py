@@ -177,7 +177,7 @@ def test_settles_when_nothing_moves_and_says_by_which_criterion():
     assert report.settled
     assert simulation.settled
     assert simulation.phase == "rest"
-    assert report.rest_reason == "no particle moved by more than 0.25 mm in 0.05 s"
+    assert report.rest_reason == "no particle moved by more than 0.5 mm in 0.1 s"
     before = simulation.positions
     simulation.advance(scene.settings.rest_window)
     assert np.abs(simulation.positions - before).max() <= 2 * scene.settings.rest_displacement
