@@ -11,6 +11,61 @@ __all__ = ["outside_box", "point_triangle", "segment_segment"]
 
 Floats = NDArray[np.float64]
 
+# Squared sine of the angle at a corner from which on a triangle is taken for a line.
+_COLLAPSED = 1e-10
+
+
+@inlined_kernel
+def _squared(x: float, y: float, z: float) -> float:
+    return x * x + y * y + z * z
+
+
+@kernel
+def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
+    """Squared distance [m^2] of segments pq and ab; where the closest points lie, s along pq, t along ab; all (3,)."""
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    wx, wy, wz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    rx, ry, rz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    uu = ux * ux + uy * uy + uz * uz
+    ww = wx * wx + wy * wy + wz * wz
+    wr = wx * rx + wy * ry + wz * rz
+    ur = ux * rx + uy * ry + uz * rz
+    uw = ux * wx + uy * wy + uz * wz
+    if uu <= 0.0 and ww <= 0.0:
+        s, t = 0.0, 0.0
+    elif uu <= 0.0:
+        s, t = 0.0, min(max(wr / ww, 0.0), 1.0)
+    elif ww <= 0.0:
+        s, t = min(max(-ur / uu, 0.0), 1.0), 0.0
+    else:
+        whole = uu * ww - uw * uw
+        s = min(max((uw * wr - ur * ww) / whole, 0.0), 1.0) if whole > 1e-12 * uu * ww else 0.0
+        t = (uw * s + wr) / ww
+        if t < 0.0:
+            t = 0.0
+            s = min(max(-ur / uu, 0.0), 1.0)
+        elif t > 1.0:
+            t = 1.0
+            s = min(max((uw - ur) / uu, 0.0), 1.0)
+    dx = rx + s * ux - t * wx
+    dy = ry + s * uy - t * wy
+    dz = rz + s * uz - t * wz
+    return dx * dx + dy * dy + dz * dz, s, t
+
+
+@kernel
+def _nearest_side(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
+    """As `point_triangle`, for a triangle that has collapsed to a line: rounding would decide where its face is."""
+    s, _, ab = segment_segment(p, p, a, b)
+    squared, u, v, w = s, 1.0 - ab, ab, 0.0
+    s, _, bc = segment_segment(p, p, b, c)
+    if s < squared:
+        squared, u, v, w = s, 0.0, 1.0 - bc, bc
+    s, _, ca = segment_segment(p, p, c, a)
+    if s < squared:
+        squared, u, v, w = s, ca, 0.0, 1.0 - ca
+    return squared, u, v, w
+
 
 @inlined_kernel
 def outside_box(p: Floats, a: Floats, b: Floats, c: Floats, reach: float) -> bool:
@@ -61,43 +116,7 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
             t,
         )
     whole = va + vb + vc
+    if whole <= _COLLAPSED * (abx * abx + aby * aby + abz * abz) * (acx * acx + acy * acy + acz * acz):
+        return _nearest_side(p, a, b, c)
     v, w = vb / whole, vc / whole
     return _squared(apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz), 1.0 - v - w, v, w
-
-
-@inlined_kernel
-def _squared(x: float, y: float, z: float) -> float:
-    return x * x + y * y + z * z
-
-
-@kernel
-def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
-    """Squared distance [m^2] of segments pq and ab; where the closest points lie, s along pq, t along ab; all (3,)."""
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    wx, wy, wz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    rx, ry, rz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    uu = ux * ux + uy * uy + uz * uz
-    ww = wx * wx + wy * wy + wz * wz
-    wr = wx * rx + wy * ry + wz * rz
-    ur = ux * rx + uy * ry + uz * rz
-    uw = ux * wx + uy * wy + uz * wz
-    if uu <= 0.0 and ww <= 0.0:
-        s, t = 0.0, 0.0
-    elif uu <= 0.0:
-        s, t = 0.0, min(max(wr / ww, 0.0), 1.0)
-    elif ww <= 0.0:
-        s, t = min(max(-ur / uu, 0.0), 1.0), 0.0
-    else:
-        whole = uu * ww - uw * uw
-        s = min(max((uw * wr - ur * ww) / whole, 0.0), 1.0) if whole > 1e-12 * uu * ww else 0.0
-        t = (uw * s + wr) / ww
-        if t < 0.0:
-            t = 0.0
-            s = min(max(-ur / uu, 0.0), 1.0)
-        elif t > 1.0:
-            t = 1.0
-            s = min(max((uw - ur) / uu, 0.0), 1.0)
-    dx = rx + s * ux - t * wx
-    dy = ry + s * uy - t * wy
-    dz = rz + s * uz - t * wz
-    return dx * dx + dy * dy + dz * dz, s, t

@@ -76,6 +76,13 @@ def test_triangle_that_has_collapsed_to_a_line(p, a, b, share, order):
     assert found == pytest.approx(nearest, abs=1e-6 * scale(p, a, b) ** 2)
 
 
+def test_triangle_that_has_collapsed_to_a_line_is_no_farther_than_its_sides():
+    # Rounding gave it a face far from where it is.
+    p, a = np.array([1.0, 2.0, -1.0]), np.array([2.0, 0.055, 1.8502584565266593])
+    nearest = segment_segment(p, p, a, -2.0 * a)[0]
+    assert point_triangle(p, -2.0 * a, np.zeros(3), a)[0] == pytest.approx(nearest, rel=1e-9)
+
+
 def test_one_point_in_place_of_a_triangle_or_segment():
     p, a = np.array([1.0, 2.0, 2.0]), np.zeros(3)
     assert point_triangle(p, a, a, a)[0] == pytest.approx(9.0)
