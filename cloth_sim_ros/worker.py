@@ -136,6 +136,8 @@ class SimulationWorker:
         self._next_frame = 0.0
         self._next_strain = 0.0
         self._next_clock = 0.0
+        self._clock = 0
+        self._clock_lock = threading.Lock()
         self._pace = RealTimePace()
         self._builder = SceneBuilder(
             parameters or SceneParameters(), self._settings.limits, self._on_accepted, self._on_refused
@@ -314,9 +316,8 @@ class SimulationWorker:
         details["recording"] = self._outlet.log_path or "no"
         status = run_status(self._node_name, level, message, self._progress, details)
         self._outlet.send(DIAGNOSTICS, encode_diagnostics(time.time_ns(), [status]))
-        if self._settings.publish_clock:
-            # For those who have come late, while time stands still.
-            self._listener.send(CLOCK, encode_clock(self._outlet.last_stamp))
+        # For those who have come late, while time stands still.
+        self._send_clock(self._outlet.last_stamp)
 
     def close(self) -> None:
         """Ends the threads and the log; to be called once."""
@@ -477,7 +478,7 @@ class SimulationWorker:
         self._sender = RunSender(run.inputs, self._outlet)
         self._sender.begin(run)
         self._next_strain = 0.0
-        self._send_clock(run)
+        self._send_time_of(run)
         self._take_snapshot(run)
         for warning in run.scene.warnings:
             self._listener.inform(warning)
@@ -505,7 +506,7 @@ class SimulationWorker:
             report = simulation.report() if simulation.settled else None
         self._take_snapshot(run)
         self._send_last_frame(run)
-        self._send_clock(run)
+        self._send_time_of(run)
         if report is not None and not interrupted:
             self._pause_after(mode, rested=simulation.settled)
             self._send_report(run, report)
@@ -526,7 +527,7 @@ class SimulationWorker:
             self._send_last_frame(run)
         if now >= self._next_clock:
             self._next_clock = now + CLOCK_INTERVAL
-            self._send_clock(run)
+            self._send_time_of(run)
         self._take_snapshot(run)
         self._do_tasks(run)
         with self._wake:
@@ -600,9 +601,17 @@ class SimulationWorker:
         if self._sender is not None and self._sender.is_behind(run):
             self._sender.frame(run)
 
-    def _send_clock(self, run: Run) -> None:
-        if self._settings.publish_clock and self._sender is not None:
-            self._listener.send(CLOCK, encode_clock(self._sender.stamp(run)))
+    def _send_time_of(self, run: Run) -> None:
+        if self._sender is not None:
+            self._send_clock(self._sender.stamp(run))
+
+    def _send_clock(self, stamp: int) -> None:
+        """Sends a time [ns since 1970] on /clock, which two threads do: it never runs back."""
+        if not self._settings.publish_clock:
+            return
+        with self._clock_lock:
+            self._clock = max(self._clock, stamp)
+            self._listener.send(CLOCK, encode_clock(self._clock))
 
     def _send_report(self, run: Run, report: Report) -> None:
         if run.simulation.settled:

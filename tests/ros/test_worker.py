@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
 from small_scenes import BOX_TRIANGLES, BOX_VERTICES, handkerchief
 
 from cloth_core.body import Body
@@ -20,7 +22,7 @@ from cloth_sim_ros.log_reader import LogReader
 from cloth_sim_ros.messages import decode_marker, decode_string
 from cloth_sim_ros.run_sender import RunSender
 from cloth_sim_ros.scene_inputs import Limits, SceneParameters
-from cloth_sim_ros.topics import BODY_MARKER, DIAGNOSTICS, GARMENT, REPORT
+from cloth_sim_ros.topics import BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, REPORT
 from cloth_sim_ros.worker import SimulationWorker, WorkerSettings
 
 DRAFT = SceneParameters(quality="draft")
@@ -402,3 +404,23 @@ def test_closing_in_the_middle_of_everything_leaves_a_log(bench):
     bench.worker.close()
     with LogReader(path) as log:
         assert log.count(GARMENT) >= 1
+
+
+def test_the_clock_never_runs_back_though_two_threads_send_it(tmp_path):
+    bench = Bench(tmp_path)
+    bench.worker.close()
+    bench.settings = replace(bench.settings, publish_clock=True)
+    bench.worker = SimulationWorker(bench.listener, parameters=DRAFT, settings=bench.settings)
+    try:
+        bench.give(handkerchief(0.2))
+        bench.worker.start()
+        deadline = time.monotonic() + PATIENCE
+        while len(bench.listener.of(CLOCK)) < 400:
+            bench.worker.diagnose()  # with the time of the last message, while the run is already further
+            assert time.monotonic() < deadline
+        stamps = [deserialize_message(data, Clock).clock for data in bench.listener.of(CLOCK)]
+    finally:
+        bench.worker.close()
+    moments = [stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in stamps]
+    assert moments == sorted(moments)
+    assert moments[-1] > moments[0]
