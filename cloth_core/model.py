@@ -196,7 +196,7 @@ class Model:
     # -- stability --
 
     def stable_step(
-        self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 2e-3
+        self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 5e-4
     ) -> StableStep:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
         terms = self.force_terms(air_drag)
@@ -252,6 +252,8 @@ class Model:
         bending = len(self.bending) if self.bending is not None else 0
         body = len(scene.body.triangles) if scene.body is not None else 0
 
+        layers = len(self.triangles) if self.contact is not None and self.contact.cloth is not None else 0
+
         def term(name: str, active: bool, elements: int, why: str, why_not: str) -> Term:
             return Term(name, active, why if active else why_not, elements if active else 0)
 
@@ -292,11 +294,11 @@ class Model:
                 f"offset {1000 * scene.settings.contact_offset:g} mm, no pass-through", "there is no body",
             ),
             term(
-                "friction", body > 0 and fabric.friction > 0.0, body,
-                f"Coulomb, {fabric.friction:g}, once the seams are closed", "no body or no friction",
+                "friction", self.contact is not None and fabric.friction > 0.0, body + layers,
+                f"Coulomb, {fabric.friction:g}, once the seams are closed", "nothing can touch, or no friction",
             ),
             term(
-                "self contact", self.contact is not None and self.contact.cloth is not None, len(self.triangles),
+                "self contact", layers > 0, layers,
                 f"offset {1000 * scene.settings.cloth_offset:g} mm, no pass-through", "",
             ),
         )  # fmt: skip

@@ -32,7 +32,7 @@ class Report:
         open_seams: the seams above the tolerance, with their gaps [m].
         body_intersections: cloth sides that cross a body triangle.
         self_intersections: cloth sides that cross a cloth triangle.
-        max_penetration: depth of the deepest particle inside the body [m]; 0 if none is.
+        max_penetration: depth of the deepest point of the cloth inside the body [m]; 0 if none is.
         contact_searches: how often contacts were searched.
         warnings: one line each.
         state_sha256: hash of the final positions and velocities.

@@ -20,6 +20,7 @@ from cloth_core.grasp import Grasps, Pose
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
+from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
 from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
@@ -233,7 +234,7 @@ class Simulation:
                 break
         self._seeking_rest = False
         self.model.soften(1.0)
-        self._refresh_time_step(tolerance=2e-3)
+        self._refresh_time_step(tolerance=5e-4)
         return self.report(reason)
 
     def _start_coarse(self, on_tick: OnTick | None) -> bool:
@@ -640,7 +641,7 @@ class Simulation:
         if scene.body is not None:
             body = scene.body
             crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
-            penetration = max(0.0, -float(body.signed_distance(x).min()))
+            penetration = max_penetration(x, model.triangles, body)
         missed = missed_effects(scene, model, x, self._v, self.positions)
         warnings += missed.values()
         if rest_reason is None:

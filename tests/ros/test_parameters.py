@@ -91,7 +91,9 @@ def quality(client, change):
 
 def tolerance(client, change):
     change("tolerance", 8.0)
-    area = reset(client)["scene"]["area"]
+    scene = reset(client)["scene"]
+    area = scene["area"]
+    assert scene["spacing"] != QUALITIES["normal"]  # which it had without a tolerance
     allowed = settings_for("normal", 0.008, Cloth.of(area, Fabric.preset("cotton_poplin"))).spacing
     assert reset(client)["scene"]["spacing"] == allowed
 
