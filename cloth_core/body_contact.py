@@ -11,7 +11,6 @@ from cloth_core.aabb_tree import AabbTree, overlapping_pairs
 from cloth_core.body import Body
 from cloth_core.closest_points import outside_box, point_triangle, segment_segment
 from cloth_core.errors import SceneError
-from cloth_core.intersections import crossing_edges
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
@@ -117,14 +116,6 @@ class BodyContact:
         )  # fmt: skip
         planes = VertexPlanes.of(len(x), vertex_pairs, vertex_distance)
         return planes, rows, np.full(len(rows), self.side_offset), distance
-
-    def crosses(self, x: Floats, triangles: Ints) -> bool:
-        """Whether a side of the cloth at x (n, 3) [m] passes through the body or one of the body through the cloth."""
-        body = self.body
-        return bool(
-            len(crossing_edges(x, triangles, body.vertices, body.triangles, body.tree))
-            or len(crossing_edges(body.vertices, body.triangles, x, triangles))
-        )
 
 
 @kernel

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.errors import ClothError
-from cloth_core.nearest_points import surface_distances
+from cloth_core.mesh_distance import distances_to_mesh
 
 __all__ = ["Drape", "DrapeError", "drape_error", "motion_error", "sample_points"]
 
@@ -120,11 +120,11 @@ def drape_error(first: Drape, second: Drape, spacing: float = _SAMPLE_SPACING) -
         for way in range(2):
             points, weights, corners = _samples(parts[way], spacing)
             vertices, triangles, tree = parts[1 - way]
-            distance = surface_distances(points, vertices, triangles, tree)
+            distance = distances_to_mesh(points, vertices, triangles, tree)
             squared[k, way] = weights @ distance**2
             area[k, way] = weights.sum()
             largest = max(largest, float(distance.max()))
-            largest = max(largest, float(surface_distances(corners, vertices, triangles, tree).max()))
+            largest = max(largest, float(distances_to_mesh(corners, vertices, triangles, tree).max()))
     whole = float(np.sqrt((squared.sum(axis=0) / area.sum(axis=0)).mean()))
     each = np.sqrt((squared / area).mean(axis=1))
     return DrapeError(whole, largest, {name: float(rms) for name, rms in zip(names, each, strict=True) if name})

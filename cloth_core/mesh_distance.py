@@ -45,6 +45,7 @@ def distances_to_mesh(points: Floats, vertices: Floats, triangles: Ints, tree: A
                 a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
                 best = min(best, point_triangle(p, a, b, c)[0])
                 continue
+            # The nearer child is looked at first: it soon rules out most of the other one.
             left, right = node + 1, tree.right[node]
             if _box_distance(tree, left, p) < _box_distance(tree, right, p):
                 left, right = right, left
