@@ -144,15 +144,7 @@ class PairContacts(NamedTuple):
 def repeat_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, dt: float) -> None:
     """Give each contact what it needed in the last step; x, v (n, 3), inverse_mass (n,), dt [s]."""
     for entry in range(pairs.active_count[0]):
-        s = pairs.active[entry]
-        size = pairs.impulse[s]
-        _apply(
-            x, v, inverse_mass, pairs, s,
-            size * pairs.normal[s, 0] + pairs.friction[s, 0],
-            size * pairs.normal[s, 1] + pairs.friction[s, 1],
-            size * pairs.normal[s, 2] + pairs.friction[s, 2],
-            dt,
-        )  # fmt: skip
+        _apply_kept(x, v, inverse_mass, pairs, pairs.active[entry], 1.0, dt)
 
 
 @kernel
@@ -235,13 +227,7 @@ def _find_active(
         s = pairs.listed[entry]
         size = pairs.impulse[s]
         if size > 0.0:  # it was given on trust at the beginning of the step, where the parts touched in the last one
-            _apply(
-                x, v, inverse_mass, pairs, s,
-                -size * pairs.normal[s, 0] - pairs.friction[s, 0],
-                -size * pairs.normal[s, 1] - pairs.friction[s, 1],
-                -size * pairs.normal[s, 2] - pairs.friction[s, 2],
-                dt,
-            )  # fmt: skip
+            _apply_kept(x, v, inverse_mass, pairs, s, -1.0, dt)
         # Nothing can have come nearer than by the way that its particles went since the search.
         reach = COUNTS_FROM * pairs.offset[s]
         squared = np.inf
@@ -259,13 +245,7 @@ def _find_active(
         approach = vx * pairs.normal[s, 0] + vy * pairs.normal[s, 1] + vz * pairs.normal[s, 2]
         pairs.gap[s] = distance - pairs.offset[s] - dt * approach
         if size > 0.0:  # and it is given again where they touch now
-            _apply(
-                x, v, inverse_mass, pairs, s,
-                size * pairs.normal[s, 0] + pairs.friction[s, 0],
-                size * pairs.normal[s, 1] + pairs.friction[s, 1],
-                size * pairs.normal[s, 2] + pairs.friction[s, 2],
-                dt,
-            )  # fmt: skip
+            _apply_kept(x, v, inverse_mass, pairs, s, 1.0, dt)
         pairs.active[count] = s
         count += 1
     pairs.active_count[0] = count
@@ -353,6 +333,21 @@ def _relative_velocity(v: Floats, body_v: Floats, pairs: PairContacts, s: int) -
             vy -= along * body_v[d, 1]
             vz -= along * body_v[d, 2]
     return vx, vy, vz
+
+
+@kernel
+def _apply_kept(
+    x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, s: int, share: float, dt: float
+) -> None:
+    """Apply a share of the impulse that pair s gave in the last step, along and across its normal."""
+    size = share * pairs.impulse[s]
+    _apply(
+        x, v, inverse_mass, pairs, s,
+        size * pairs.normal[s, 0] + share * pairs.friction[s, 0],
+        size * pairs.normal[s, 1] + share * pairs.friction[s, 1],
+        size * pairs.normal[s, 2] + share * pairs.friction[s, 2],
+        dt,
+    )  # fmt: skip
 
 
 @kernel
