@@ -177,7 +177,9 @@ def test_command_measures_once_and_goes_on_from_what_is_there(tmp_path, capsys):
     out = capsys.readouterr().out
     facts = json.loads((folder / "tradeoff.json").read_text())
     assert out.splitlines()[-1] == facts["advice"]
-    assert facts["cheapest"]["spacing"] == 0.25
+    # Whichever took the least time here: all of them are exact.
+    fastest = min(facts["settings"], key=lambda s: s["cpu_seconds"])
+    assert f"spacing {1000 * facts['cheapest']['spacing']:g} mm" == fastest["name"]
     assert 0.0 < facts["spread"]["start_moved_by_0.1_mm"] < 2e-4
     assert all(s["error"] < 1e-6 and s["cpu_seconds"] > 0.0 and s["wall_seconds"] > 0.0 for s in facts["settings"])
     before = {path: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
