@@ -83,9 +83,7 @@ class Model:
         self.particle_count = int(self.number.max()) + 1
         self.triangles = np.asarray(self.number[garment.triangles], dtype=np.int32)
         self.mass = np.bincount(
-            self.triangles.ravel(),
-            weights=np.repeat(garment.areas * fabric.area_density / 3.0, 3),
-            minlength=self.particle_count,
+            self.number, weights=garment.particle_areas * fabric.area_density, minlength=self.particle_count
         ).astype(np.float64)
         if (self.mass <= 0.0).any():
             bad = int(np.flatnonzero(self.number == np.flatnonzero(self.mass <= 0.0)[0])[0])
