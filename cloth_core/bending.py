@@ -169,11 +169,24 @@ def bending_forces(
             f[i] -= bend
             f[j] += 2.0 * bend
             f[k] -= bend
-        for s in range(hinge.shape[0]):
-            a, b, c, d = hinge[s, 0], hinge[s, 1], hinge[s, 2], hinge[s, 3]
-            wa, wb, wc, wd = weights[s, 0], weights[s, 1], weights[s, 2], weights[s, 3]
-            bend = stiffness[s] * (wa * y[a] + wb * y[b] + wc * y[c] + wd * y[d])
-            f[a] -= wa * bend
-            f[b] -= wb * bend
-            f[c] -= wc * bend
-            f[d] -= wd * bend
+    x0, x1, x2 = x[0], x[1], x[2]
+    f0, f1, f2 = force[0], force[1], force[2]
+    for s in range(hinge.shape[0]):
+        # Unsigned: no index counts from the end of its row.
+        a, b, c, d = np.uintp(hinge[s, 0]), np.uintp(hinge[s, 1]), np.uintp(hinge[s, 2]), np.uintp(hinge[s, 3])
+        wa, wb, wc, wd = weights[s, 0], weights[s, 1], weights[s, 2], weights[s, 3]
+        k0 = stiffness[s] * (wa * x0[a] + wb * x0[b] + wc * x0[c] + wd * x0[d])
+        k1 = stiffness[s] * (wa * x1[a] + wb * x1[b] + wc * x1[c] + wd * x1[d])
+        k2 = stiffness[s] * (wa * x2[a] + wb * x2[b] + wc * x2[c] + wd * x2[d])
+        f0[a] -= wa * k0
+        f0[b] -= wb * k0
+        f0[c] -= wc * k0
+        f0[d] -= wd * k0
+        f1[a] -= wa * k1
+        f1[b] -= wb * k1
+        f1[c] -= wc * k1
+        f1[d] -= wd * k1
+        f2[a] -= wa * k2
+        f2[b] -= wb * k2
+        f2[c] -= wc * k2
+        f2[d] -= wd * k2

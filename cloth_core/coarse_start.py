@@ -13,15 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.body import Body
 from cloth_core.garment import Garment
+from cloth_core.intersections import crossing_pairs
 
-__all__ = ["Interpolation", "interpolation_between"]
+__all__ = ["Interpolation", "clear_of_body", "interpolation_between"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Triangles with the nearest centres, among which the one that holds a point is looked for.
 _NEAREST = 12
+# Times that cloth which cuts through the body may be moved outwards before the start is given up.
+_ROUNDS = 6
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,27 @@ def interpolation_between(coarse: Garment, fine: Garment) -> Interpolation:
             corners[points] = np.stack([of[before], of[before + 1], of[before]], axis=1)
             weights[points] = np.stack([1.0 - share, share, np.zeros(len(share))], axis=1)
     return Interpolation(corners, weights)
+
+
+def clear_of_body(x: Floats, triangles: Ints, body: Body, step: float) -> Floats:
+    """Positions [m], (n, 3), of which sides that pass through the body are moved out of it, by a step [m] at a time.
+
+    A fine mesh cuts across the creases of the coarse one on which it starts, sometimes by more than the distance at
+    which that lay from the body. What is still inside after some rounds is left there.
+    """
+    corner = body.vertices[body.triangles]
+    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    for _ in range(_ROUNDS):
+        edges, pairs = crossing_pairs(x, triangles, body.vertices, body.triangles, body.tree)
+        if len(pairs) == 0:
+            break
+        way = np.zeros_like(x)
+        for end in range(2):
+            np.add.at(way, edges[pairs[:, 0], end], normals[pairs[:, 1]])
+        length = np.linalg.norm(way, axis=1, keepdims=True)
+        x = x + step * way / np.maximum(length, 1e-12)
+    return x
 
 
 def _barycentric(p: Floats, corner: Floats) -> Floats:

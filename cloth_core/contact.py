@@ -328,33 +328,35 @@ def _room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closes
 
 @kernel
 def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
-    """Stop every particle at its travel bound; fill moved (n,) [m]; whether any has used most of its bound.
+    """Stop every particle at its travel bound; fill moved (n,) with squared ways [m^2]; whether any has used most of its.
 
     A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever drives
     it there would go on adding to a velocity that shows nowhere.
     """
-    spent = False
+    origin, travel = state.origin, state.travel
+    for i in range(x.shape[0]):  # this much and no more, so that it is done to eight particles at once
+        dx, dy, dz = x[i, 0] - origin[i, 0], x[i, 1] - origin[i, 1], x[i, 2] - origin[i, 2]
+        moved[i] = dx * dx + dy * dy + dz * dz
+    spent = 0
     for i in range(x.shape[0]):
-        dx = x[i, 0] - state.origin[i, 0]
-        dy = x[i, 1] - state.origin[i, 1]
-        dz = x[i, 2] - state.origin[i, 2]
-        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        bound = state.travel[i]
-        if distance > SPENT * bound:
-            spent = True
-            if distance > bound:
-                share = bound / distance
-                x[i, 0] = state.origin[i, 0] + share * dx
-                x[i, 1] = state.origin[i, 1] + share * dy
-                x[i, 2] = state.origin[i, 2] + share * dz
-                outward = (dx * v[i, 0] + dy * v[i, 1] + dz * v[i, 2]) / (distance * distance)
+        most = SPENT * travel[i]
+        spent += moved[i] > most * most
+    if spent > 0:
+        for i in range(x.shape[0]):
+            bound = travel[i]
+            if moved[i] > bound * bound:
+                share = bound / np.sqrt(moved[i])
+                dx, dy, dz = x[i, 0] - origin[i, 0], x[i, 1] - origin[i, 1], x[i, 2] - origin[i, 2]
+                x[i, 0] = origin[i, 0] + share * dx
+                x[i, 1] = origin[i, 1] + share * dy
+                x[i, 2] = origin[i, 2] + share * dz
+                outward = (dx * v[i, 0] + dy * v[i, 1] + dz * v[i, 2]) / moved[i]
                 if outward > 0.0:
                     v[i, 0] -= outward * dx
                     v[i, 1] -= outward * dy
                     v[i, 2] -= outward * dz
-                distance = bound
-        moved[i] = distance
-    return keep_on_own_side(x, v, state.origin, state.near) or spent
+                moved[i] = bound * bound
+    return keep_on_own_side(x, v, state.origin, state.near) or spent > 0
 
 
 @kernel
@@ -363,7 +365,7 @@ def resolve_contacts(
 ) -> bool:
     """Hold everything apart after a step, in place; whether a new search is due.
 
-    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) scratch; dt [s].
+    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) [m^2] is written; dt [s].
     """
     repeat_impulses(x, v, inverse_mass, state.pairs, dt)
     spent = keep_within_travel(x, v, state, moved)

@@ -28,6 +28,9 @@ _RANGES = {
     "strain_limit": (1e-4, 10.0),
 }
 
+# Stiffness of the bending springs of a smoothed fabric, as a share of the structural one.
+_SMOOTHING = 0.003
+
 
 @dataclass(frozen=True)
 class Fabric:
@@ -91,6 +94,17 @@ class Fabric:
         if unknown:
             raise FabricError(f"fabric '{name}': no parameter '{sorted(unknown)[0]}'; use one of {', '.join(_RANGES)}")
         return replace(fabric, **changes)  # type: ignore[arg-type]
+
+    @property
+    def smoothed(self) -> Fabric:
+        """The fabric with weak bending springs, whether it has any or not, for shapes that are only passed through.
+
+        They have no stiffness against slight bending, but on a coarse grid a lot against folds of the size of a cell:
+        panels that are pulled together do not crumple, and a coarse drape has no creases across which a finer mesh
+        would cut.
+        """
+        weaker = min(self.structural_warp, self.structural_weft)
+        return replace(self, bending_spring=max(self.bending_spring, _SMOOTHING * weaker))
 
 
 def fabric_presets() -> list[str]:

@@ -91,6 +91,9 @@ class Model:
             raise SceneError(f"panel '{where}', particle {bad}: has no cloth around it and no mass; mend the pattern")
         self.inverse_mass = 1.0 / self.mass
         self.inverse_mass[self.number[scene.pins]] = 0.0
+        if sewing and "bending springs" not in without:
+            fabric = fabric.smoothed
+        self._fabric = fabric
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
         self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
         self.softness = 1.0
@@ -125,7 +128,7 @@ class Model:
         The largest frequency is that of the structural springs, which hardly stretch in a drape: a run that only looks
         for the resting shape gets most of the way with soft ones and long steps. The strain limit is not softened.
         """
-        garment, fabric = self.scene.garment, self.scene.fabric
+        garment, fabric = self.scene.garment, self._fabric
         weakest = min(fabric.structural_warp, fabric.structural_weft)
         self.softness = softness = min(max(softness, 2.0 * fabric.shear / weakest), 1.0)
         if softness < 1.0 and self._soft_stiffness is None:
@@ -241,7 +244,7 @@ class Model:
     # -- what is modelled, and why --
 
     def _terms(self, closed: tuple[Seam, ...]) -> tuple[Term, ...]:
-        scene, fabric = self.scene, self.scene.fabric
+        scene, fabric = self.scene, self._fabric
         count = {family: int((self.springs.family == family).sum()) for family in SpringFamily}
         heavy = any(scene.gravity)
         seams = scene.garment.seams

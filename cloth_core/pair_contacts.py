@@ -254,16 +254,16 @@ def _find_active(
 
 @kernel
 def _way(pairs: PairContacts, s: int, moved: Floats) -> float:
-    """How much nearer the parts of pair s can have come, from the way of each particle (n,) [m]."""
+    """How much nearer the parts of pair s can have come, from squared ways (n,) [m^2]."""
     kind = pairs.kind[s]
     p, q, a, b = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2], pairs.particles[s, 3]
     if kind == BODY_SIDE:
-        return float(max(moved[p], moved[q]))
+        return float(np.sqrt(max(moved[p], moved[q])))
     if kind == BODY_VERTEX:
-        return float(max(moved[p], max(moved[q], moved[a])))
+        return float(np.sqrt(max(moved[p], max(moved[q], moved[a]))))
     if kind == CLOTH_VERTEX:
-        return float(moved[p] + max(moved[q], max(moved[a], moved[b])))
-    return float(max(moved[p], moved[q]) + max(moved[a], moved[b]))
+        return float(np.sqrt(moved[p]) + np.sqrt(max(moved[q], max(moved[a], moved[b]))))
+    return float(np.sqrt(max(moved[p], moved[q])) + np.sqrt(max(moved[a], moved[b])))
 
 
 @kernel

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.coarse_start import Interpolation, interpolation_between
+from cloth_core.coarse_start import Interpolation, clear_of_body, interpolation_between
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.garment import Seam
@@ -56,7 +56,11 @@ _STIFFENING_TIME = 0.05
 # A run to rest starts with a mesh of this many times the spacing, where that is not beyond the coarsest [m].
 _COARSER = 2.0
 _COARSEST = 0.04
-# Kinetic damping ends when movements are this share of what counts as rest.
+# Air drag while seams close [1/s].
+_SEWING_DRAG = 10.0
+# Rate at which particles that slow down are braked while a run looks for rest [1/s].
+_BRAKING = 30.0
+# Braking ends when movements are this share of what counts as rest.
 _CALM = 0.5
 # A coarse start ends when movements are this many times what counts as rest.
 _NEARLY = 3.0
@@ -121,7 +125,6 @@ class Simulation:
         self._seeking_rest = False
         self._open_seams: dict[str, float] = {}
         self._widest_gap = math.inf
-        self._kinetic_energy = 0.0
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
         self._rough = False
@@ -206,8 +209,8 @@ class Simulation:
 
         At rest means that within `rest_window` no particle moves by more than `rest_displacement`, and that none is
         about to: a swing that turns round is none (`cloth_core.rest`). The way there is not physical in time, only its
-        end is the equilibrium: extra air drag (`settle_drag`) and kinetic damping calm the swinging, and a run from the
-        start sews with soft structural springs (`Model.soften`), which allows longer steps, and gives them their true
+        end is the equilibrium: extra air drag (`settle_drag`) and braking of what slows down (`_calm`) calm the swinging,
+        and a run from the start sews with soft structural springs (`Model.soften`), which allows longer steps, and gives them their true
         stiffness when the seams have closed.
         """
         self._seeking_rest = True
@@ -256,7 +259,7 @@ class Simulation:
             return stopped or not coarse._calming
 
         try:
-            coarse = Simulation(scene.with_spacing(spacing))
+            coarse = Simulation(replace(scene, fabric=scene.fabric.smoothed).with_spacing(spacing))
             coarse._rough = True
             interpolation = interpolation_between(coarse.scene.garment, scene.garment)
             self._coarse = (coarse, interpolation)
@@ -273,6 +276,9 @@ class Simulation:
             self._use(self.model, x, np.zeros_like(x))
             return stopped
         model = Model(scene, closed=scene.garment.seams)
+        if not coarse._open_seams and scene.body is not None:
+            sewn = model.gather(x, scene.garment.particle_areas)
+            x = clear_of_body(sewn, model.triangles, scene.body, scene.settings.contact_offset)[model.number]
         if not coarse._open_seams and self._crossings(model, x) == 0:
             self.phase = DRAPING
             self._use(model, x, np.zeros_like(x))
@@ -434,6 +440,7 @@ class Simulation:
         self._v = model.gather(unsewn_v, weight)
         self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
+        self._v_before = self._v.copy()
         self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         model.soften(softness)
@@ -450,7 +457,11 @@ class Simulation:
         self._open_window()
 
     def _air_drag(self) -> float:
-        extra = self.scene.settings.settle_drag if self._seeking_rest or self.model.sewing else 0.0
+        extra = 0.0
+        if self.model.sewing:
+            extra = _SEWING_DRAG
+        elif self._seeking_rest:
+            extra = self.scene.settings.settle_drag
         return max(self.model.scene.air_drag, extra)
 
     def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
@@ -484,7 +495,7 @@ class Simulation:
         self._flight_step = float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:
-        return bool((self._moved > SPENT * self._contacts.travel).any())
+        return bool((self._moved > (SPENT * self._contacts.travel) ** 2).any())
 
     def _largest_speed(self) -> float:
         return float(np.sqrt((self._v**2).sum(axis=1).max()))
@@ -582,12 +593,14 @@ class Simulation:
             self.phase = DRAPING
 
     def _calm(self) -> None:
-        """Kinetic damping (Cundall 1976): what swings is stopped where its kinetic energy is largest."""
-        energy = 0.5 * float((self.model.mass * (self._v**2).sum(axis=1)).sum())
-        if energy < self._kinetic_energy:
-            self._v[:] = 0.0
-            energy = 0.0
-        self._kinetic_energy = energy
+        """Brake what slows down already: it has passed the place that it is drawn to.
+
+        As in the FIRE method (Bitzek et al. 2006), but softly and for each particle by itself: a fold that still creeps
+        to its place is not held back because something else swings.
+        """
+        slower = ((self._v - self._v_before) * self._v).sum(axis=1) < 0.0
+        self._v[slower] *= math.exp(-_BRAKING * self._dt * _TICK_STEPS)
+        self._v_before = self._v.copy()
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""

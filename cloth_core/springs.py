@@ -251,7 +251,7 @@ def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, forc
             take_from(fy, j + s, last_lanes(load(ty, s), fresh))
             take_from(fz, j + s, last_lanes(load(tz, s), fresh))
     for s in range(springs.rest.shape[0]):
-        i, j = springs.rest[s, 0], springs.rest[s, 1]
+        i, j = np.uintp(springs.rest[s, 0]), np.uintp(springs.rest[s, 1])
         dx, dy, dz = px[j] - px[i], py[j] - py[i], pz[j] - pz[i]
         rate = dx * (vx[j] - vx[i]) + dy * (vy[j] - vy[i]) + dz * (vz[j] - vz[i])
         inverse = 1.0 / np.sqrt(max(dx * dx + dy * dy + dz * dz, _COINCIDENT))
