@@ -328,7 +328,7 @@ def _room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closes
 
 @kernel
 def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
-    """Stop every particle at its travel bound; fill moved (n,) with squared ways [m^2]; whether any has used most of its.
+    """Stop every particle at its bound; fill moved (n,) with squared ways [m^2]; whether any has used most of its way.
 
     A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever drives
     it there would go on adding to a velocity that shows nowhere.

@@ -209,9 +209,9 @@ class Simulation:
 
         At rest means that within `rest_window` no particle moves by more than `rest_displacement`, and that none is
         about to: a swing that turns round is none (`cloth_core.rest`). The way there is not physical in time, only its
-        end is the equilibrium: extra air drag (`settle_drag`) and braking of what slows down (`_calm`) calm the swinging,
-        and a run from the start sews with soft structural springs (`Model.soften`), which allows longer steps, and gives them their true
-        stiffness when the seams have closed.
+        end is the equilibrium: extra air drag (`settle_drag`) and braking of what slows down calm the swinging, and a
+        run from the start drapes a coarser mesh first, sews with soft structural springs (`Model.soften`), which allows
+        longer steps, and gives them their true stiffness when the seams have closed.
         """
         self._seeking_rest = True
         self._calming = True
