@@ -91,7 +91,7 @@ class Model:
             raise SceneError(f"panel '{where}', particle {bad}: has no cloth around it and no mass; mend the pattern")
         self.inverse_mass = 1.0 / self.mass
         self.inverse_mass[self.number[scene.pins]] = 0.0
-        if sewing and "bending springs" not in without:
+        if sewing:
             fabric = fabric.smoothed
         self._fabric = fabric
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
@@ -244,7 +244,8 @@ class Model:
     # -- what is modelled, and why --
 
     def _terms(self, closed: tuple[Seam, ...]) -> tuple[Term, ...]:
-        scene, fabric = self.scene, self._fabric
+        scene, fabric = self.scene, self.scene.fabric
+        smoothing = self._fabric.bending_spring > fabric.bending_spring
         count = {family: int((self.springs.family == family).sum()) for family in SpringFamily}
         heavy = any(scene.gravity)
         seams = scene.garment.seams
@@ -270,8 +271,13 @@ class Model:
                 f"{fabric.shear:g} N/m", "the fabric has no shear stiffness",
             ),
             term(
-                "bending springs", fabric.bending_spring > 0.0, count[SpringFamily.BENDING],
+                "bending springs", fabric.bending_spring > 0.0, 0 if smoothing else count[SpringFamily.BENDING],
                 f"{fabric.bending_spring:g} N/m, the paper's third family", "the fabric has none",
+            ),
+            term(
+                "sewing smoothness", smoothing, count[SpringFamily.BENDING],
+                f"bending springs of {self._fabric.bending_spring:g} N/m until the seams are closed",
+                "no seam is open",
             ),
             term(
                 "bending", self.bending is not None, bending,

@@ -7,7 +7,7 @@ they follow the sides of the triangles, with the stiffness that an area of cloth
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -27,6 +27,8 @@ Ints = NDArray[np.int32]
 
 # Squared distance [m^2] below which two particles have no direction from one to the other.
 _COINCIDENT = 1e-24
+# No spring between lattice and outline is softened to less than this share.
+_LEAST_SHARE = 0.05
 
 
 class SpringFamily(IntEnum):
@@ -133,48 +135,50 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
             family.append(np.full(len(extra), SpringFamily.BENDING))
 
     all_pairs = np.concatenate(pairs).astype(np.int32)
+    all_stiffness = np.concatenate(stiffness)
     length = np.linalg.norm(rest[all_pairs[:, 0]] - rest[all_pairs[:, 1]], axis=1)
-    springs = _combined(all_pairs, length, np.concatenate(stiffness), np.concatenate(family))
-    return replace(springs, stiffness=springs.stiffness * _band_shares(springs, garment, fabric))
+    # In the order in which they were put together: lattice, band, bending.
+    lattice, band_end = 6 * len(garment.quads), 6 * len(garment.quads) + 3 * len(band)
+    all_stiffness[lattice:band_end] *= _band_shares(garment, all_pairs[:band_end], all_stiffness[:band_end], lattice)
+    return _combined(all_pairs, length, all_stiffness, np.concatenate(family))
 
 
-def _band_shares(springs: Springs, garment: Garment, fabric: Fabric) -> Floats:
-    """Share of its stiffness that each spring keeps, (s,): 1 on the lattice, less where a light particle needs it.
+def _band_shares(garment: Garment, pairs: Ints, stiffness: Floats, lattice: int) -> Floats:
+    """Share of its stiffness that each spring of the band between lattice and outline keeps, (s - lattice,).
 
-    Between lattice and outline some particles are light and some springs short. With all of their stiffness a few of
-    them would swing twice as fast as any other and set the time step for all. So each spring is softened until no
-    particle, held by its neighbours, is stiffer for its mass than one of the lattice. A tension that stretches the
-    lattice by 1 % then moves the outline by hundredths of a cell; the finer the mesh, the less.
+    Some particles there are light and some springs short: with all of their stiffness a few of them would swing twice
+    as fast as any other and set the time step for all. So the band's springs are softened until no particle, held by
+    its neighbours, is stiffer for its mass than one of the lattice. A tension that stretches the lattice by 1 % then
+    moves the outline by hundredths of a cell; the finer the mesh, the less.
+
+    Args:
+        garment: the garment.
+        pairs, stiffness: structural and shear springs, (s, 2) and (s,) [N/m]; the first `lattice` of them are the
+            lattice's.
     """
-    rest, quads = garment.rest, garment.quads
-    if len(quads) > 0:
-        a, b, _, d = quads.T
-        width, height = rest[b, 0] - rest[a, 0], rest[d, 1] - rest[a, 1]
-    else:
-        width = height = np.array([garment.spacing])
-    squared = width**2 + height**2
-    crossing = 8.0 * fabric.shear * width * height / squared**2
-    weft = 2.0 * fabric.structural_weft * height / width + crossing * width**2
-    warp = 2.0 * fabric.structural_warp * width / height + crossing * height**2
-    on_lattice = float((np.maximum(weft, warp) / (width * height)).max())
+    held_by_lattice = _stiffest(garment, pairs[:lattice], stiffness[:lattice])
+    held_by_band = _stiffest(garment, pairs[lattice:], stiffness[lattice:])
+    area = garment.particle_areas
+    # The corner of a lattice is stiffer for its mass than its inside, by its one diagonal.
+    whole = np.bincount(garment.quads.ravel(), minlength=len(area)) > 0
+    whole &= held_by_band == 0.0
+    if whole.any():
+        most = float((held_by_lattice[whole] / area[whole]).max())
+    else:  # there is nothing but band: like equilateral triangles of the spacing
+        most = float(np.median(held_by_band / area))
+    share = np.clip((most * area - held_by_lattice) / np.maximum(held_by_band, 1e-300), _LEAST_SHARE, 1.0)
+    return np.asarray(share[pairs[lattice:]].min(axis=1))
 
-    strong = springs.family != SpringFamily.BENDING
-    pairs = springs.pairs[strong]
-    way = rest[pairs[:, 1]] - rest[pairs[:, 0]]
-    tensor = (springs.stiffness[strong] / (way**2).sum(axis=1))[:, None] * np.stack(
-        [way[:, 0] ** 2, way[:, 0] * way[:, 1], way[:, 1] ** 2], axis=1
+
+def _stiffest(garment: Garment, pairs: Ints, stiffness: Floats) -> Floats:
+    """Largest stiffness [N/m] in any direction of the rest shape with which springs hold each particle, (n,)."""
+    way = garment.rest[pairs[:, 1]] - garment.rest[pairs[:, 0]]
+    along = stiffness / (way**2).sum(axis=1)
+    xx, xy, yy = (
+        np.bincount(pairs.ravel(), weights=np.repeat(along * part, 2), minlength=garment.particle_count)
+        for part in (way[:, 0] ** 2, way[:, 0] * way[:, 1], way[:, 1] ** 2)
     )
-    held = np.zeros((garment.particle_count, 3))
-    for end in range(2):
-        for part in range(3):
-            held[:, part] += np.bincount(pairs[:, end], weights=tensor[:, part], minlength=len(held))
-    stiffest = 0.5 * (held[:, 0] + held[:, 2]) + np.hypot(0.5 * (held[:, 0] - held[:, 2]), held[:, 1])
-    allowed = on_lattice * garment.particle_areas
-    particle = np.minimum(1.0, allowed / np.maximum(stiffest, 1e-300))
-    share = np.ones(len(springs))
-    share[strong] = np.minimum(particle[pairs[:, 0]], particle[pairs[:, 1]])
-    share[share > 1.0 - 1e-9] = 1.0
-    return share
+    return np.asarray(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy))
 
 
 def _opposite_corners(garment: Garment) -> Ints:

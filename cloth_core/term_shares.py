@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 __all__ = ["term_shares"]
 
 # Families that one loop runs over; its time is shared out by their numbers.
-_ONE_LOOP = ("structural springs", "shear springs", "bending springs")
+_ONE_LOOP = ("structural springs", "shear springs", "bending springs", "sewing smoothness")
 # Terms that are a factor or a branch inside another one's loop: they take no time that could be told apart.
 _WITHIN = {
     "spring damping": "structural springs",

@@ -251,7 +251,8 @@ def test_strip_laid_over_an_edge_hangs_on_both_sides_against_itself():
 
 
 def dropped(seconds: float) -> Simulation:
-    scene = Scene(garment=stack([0.03, 0.045], 0.03), body=PLATE, fabric=Fabric.preset("cotton_poplin"))
+    # Leather does not buckle at the impact: what limp cloth does then hangs on the last bit.
+    scene = Scene(garment=stack([0.03, 0.045], 0.03), body=PLATE, fabric=Fabric.preset("leather"))
     simulation = Simulation(scene)
     simulation.advance(seconds)
     return simulation
@@ -276,7 +277,7 @@ def test_candidates_are_kept_while_they_hold():
 
 def test_run_does_not_depend_on_when_candidates_were_searched(monkeypatch):
     # Not to the bit: how far particles may go between two searches depends on what is left of the radius, and from
-    # that follow the lengths of the steps before an impact. The motion is the same to a part of the offset.
+    # that follow the lengths of the steps before an impact. The motion is the same.
     kept = dropped(0.2)
     search = Contact.search
 
@@ -290,7 +291,7 @@ def test_run_does_not_depend_on_when_candidates_were_searched(monkeypatch):
     assert kept.model.contact is not None
     assert forced.model.contact.broad_phases == forced.model.contact.narrow_phases
     assert kept.model.contact.broad_phases < kept.model.contact.narrow_phases
-    np.testing.assert_allclose(kept.positions, forced.positions, atol=0.1 * OFFSET)
+    np.testing.assert_allclose(kept.positions, forced.positions, atol=1e-3 * OFFSET)
 
 
 def test_the_same_drop_twice_is_the_same_to_the_bit():
