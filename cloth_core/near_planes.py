@@ -1,9 +1,10 @@
 """What nearly touches: each particle may leave, but must stay on its own side of a plane between the two parts.
 
 A bound on the way alone would let what is pinched get nearer by a share of the distance at each search, until rounding
-decides on which side it is. So pairs that are this near do not bound the way, but its direction (planar truncation, as
-in divide and truncate, Chen et al. 2025): towards the other part each may go until the least distance is left, away
-from it and along it nothing is in the way. Both parts are convex; a plane between them keeps them apart.
+decides on which side it is, and would make it tremble, stopped wherever it goes. So pairs that are this near do not
+bound the way, but its direction (planar truncation, as in divide and truncate, Chen et al. 2025): towards the other
+part each may go until the least distance is left, away from it and along it nothing is in the way. Both parts are
+convex; a plane between them keeps them apart.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ __all__ = ["NEAR", "NearPlanes", "add_plane", "keep_on_own_side", "room_towards"
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Pairs nearer than this are kept apart by planes [m], and the distance that is left between them: far more than
-# rounding, far less than anything that shows.
-NEAR = 2e-5
+# Pairs nearer than this are kept apart by planes [m]: well below the distance at which layers are held apart, so that
+# they only see to what is pressed together harder than that.
+NEAR = 5e-4
+# Distance that is left between them [m]: far more than rounding, far less than anything that shows.
 _LEAST_DISTANCE = 1e-6
 # Below this no direction can be told [m].
 _TOO_NEAR = 1e-9

@@ -598,8 +598,11 @@ class Simulation:
         As in the FIRE method (Bitzek et al. 2006), but softly and for each particle by itself: a fold that still creeps
         to its place is not held back because something else swings.
         """
-        slower = ((self._v - self._v_before) * self._v).sum(axis=1) < 0.0
+        before = self._v_before
+        slower = ((self._v - before) * self._v).sum(axis=1) < 0.0
         self._v[slower] *= math.exp(-_BRAKING * self._dt * _TICK_STEPS)
+        # What turns round, or trembles because layers push it to and fro, stops.
+        self._v[(before * self._v).sum(axis=1) < 0.0] = 0.0
         self._v_before = self._v.copy()
 
     def _stiffen(self) -> None:
