@@ -3,11 +3,12 @@
 Patterns, bodies and grippers change at random every few seconds while three subscribers listen to the garment: one
 that keeps up, one that takes half a second for each frame, and one that is killed and started again.
 
-Written to soak.json and printed: memory of the node over time; time to answer service calls, with the lateness of a
-process that only sleeps and the share of the time in which the node's threads waited for a core, for what the machine
-itself adds; frames that the log has and the good subscriber has not; frames that are torn.
+Written to soak.json and printed: memory of the node over time; time to answer service calls; frames that the log has
+and the good subscriber has not; frames that are torn. For what the machine itself adds: the answers of an rclpy node
+that does nothing at all, asked in turn with the one under load by a process that does nothing else; how late a process
+that only sleeps wakes up; and the share of the time in which the node's threads waited for a core.
 
-The script starts itself again as each of those processes.
+The script starts itself again as each of those processes, and ends them however it is ended itself, but for SIGKILL.
 """
 
 import argparse
@@ -49,6 +50,9 @@ def main() -> None:
         return
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.randrange(1, 100)))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # So that the processes that have been started are ended too.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
     options.output.mkdir(parents=True, exist_ok=True)
     os.environ["ROS_LOG_DIR"] = str(options.output)
     result = soak(options.minutes, options.output, options.seed)
@@ -60,25 +64,28 @@ def soak(minutes: float, output: Path, seed: int) -> dict[str, Any]:
     """What has been seen within `minutes`."""
     for name in ("probe.jsonl", "good.jsonl"):
         (output / name).unlink(missing_ok=True)
-    node = subprocess.Popen(
-        [
-            sys.executable, "-c", "from cloth_sim_ros.node import main; main()", "--ros-args",
-            "-p", "quality:=draft", "-p", "auto_start:=true", "-p", f"record_directory:={output / 'records'}",
-        ],
-        stderr=open(output / "node_stderr.txt", "w"),
-    )  # fmt: skip
-    roles = {name: start(name, output) for name in ("good", "slow", "probe")}
-    mortal, deaths, changes, memory = start("mortal", output), 0, 0, []
-    chance = random.Random(seed)
-    client = Driver(chance)
-    client.wait_for_node()
-    client.change(first=True)
-    began = time.monotonic()
-    next_change = next_memory = began
-    next_death = began + MORTAL_LIFE
-    next_record = began + 20.0
-    recording = False
+    running: list[subprocess.Popen[bytes]] = []
     try:
+        node = subprocess.Popen(
+            [
+                sys.executable, "-c", "from cloth_sim_ros.node import main; main()", "--ros-args",
+                "-p", "quality:=draft", "-p", "auto_start:=true", "-p", f"record_directory:={output / 'records'}",
+            ],
+            stderr=open(output / "node_stderr.txt", "w"),
+        )  # fmt: skip
+        running.append(node)
+        running += [start(name, output) for name in ("good", "slow", "control", "probe")]
+        mortal, deaths, changes, memory = start("mortal", output), 0, 0, []
+        running.append(mortal)
+        chance = random.Random(seed)
+        client = Driver(chance)
+        client.wait_for_node()
+        client.change(first=True)
+        began = time.monotonic()
+        next_change = next_memory = began
+        next_death = began + MORTAL_LIFE
+        next_record = began + 20.0
+        recording = False
         while (now := time.monotonic()) < began + 60.0 * minutes and node.poll() is None:
             client.spin(0.05)
             if now >= next_memory:
@@ -90,10 +97,12 @@ def soak(minutes: float, output: Path, seed: int) -> dict[str, Any]:
                 changes += 1
             if now >= next_death:
                 next_death = now + MORTAL_LIFE
+                running.remove(mortal)
                 mortal.kill()
                 mortal.wait()
                 deaths += 1
                 mortal = start("mortal", output)
+                running.append(mortal)
             if now >= next_record:
                 next_record = now + RECORD_SECONDS
                 if recording:
@@ -107,11 +116,7 @@ def soak(minutes: float, output: Path, seed: int) -> dict[str, Any]:
         code = node.wait(30)
         shutdown = time.monotonic() - ended
     finally:
-        for process in (node, mortal, *roles.values()):
-            if process.poll() is None:
-                process.send_signal(signal.SIGTERM)
-        for process in (mortal, *roles.values()):
-            process.wait(20)
+        end(running)
     return {
         "minutes": minutes,
         "changes": changes,
@@ -133,6 +138,19 @@ def soak(minutes: float, output: Path, seed: int) -> dict[str, Any]:
 def start(role: str, output: Path) -> subprocess.Popen[bytes]:
     """This script as another process."""
     return subprocess.Popen([sys.executable, __file__, "--role", role, "-o", str(output)])
+
+
+def end(processes: list[subprocess.Popen[bytes]]) -> None:
+    """Ends those that have not ended by themselves; who does not listen to SIGTERM is killed."""
+    for process in processes:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+    for process in processes:
+        try:
+            process.wait(10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 # -- what is measured --------------------------------------------------------------------------------------------------
@@ -174,23 +192,25 @@ def memory_trend(memory: list[tuple[float, float]]) -> dict[str, float]:
 def latencies(path: Path) -> dict[str, Any]:
     """Service answers, and what the machine itself added [ms]."""
     rows = [json.loads(line) for line in path.read_text().splitlines() if line.endswith("]")]
-    answers, asleep = np.array([row[1:3] for row in rows]).T * 1000.0
+    answers, asleep, control = np.array([[row[1], row[2], row[4]] for row in rows]).T * 1000.0
     building = np.array([row[3] == "building" for row in rows])
     result: dict[str, Any] = {"service_calls": len(answers), "unanswered": sum(row[1] > 5.0 for row in rows)}
     for name, values in (
         ("answer_ms", answers),
         ("answer_while_building_ms", answers[building]),
+        ("answer_of_an_empty_node_ms", control),
         ("lateness_of_the_prober_ms", asleep),
     ):
         if len(values):
             result[name] = {
                 "median": round(float(np.median(values)), 2),
+                "99 %": round(float(np.percentile(values, 99.0)), 2),
                 "99.9 %": round(float(np.percentile(values, 99.9)), 2),
                 "largest": round(float(values.max()), 2),
             }
     worst = sorted(rows, key=lambda row: -row[1])[:5]
     result["worst [at s, answer ms, lateness ms, state]"] = [
-        [round(t, 1), round(1000 * a, 1), round(1000 * s, 1), state] for t, a, s, state in worst
+        [round(t, 1), round(1000 * a, 1), round(1000 * s, 1), state] for t, a, s, state, _ in worst
     ]
     return result
 
@@ -250,7 +270,7 @@ class Driver:
 
         from cloth_core.pattern import Pattern
 
-        rclpy.init()
+        rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)  # they are this process's own
         self._rclpy, self._chance, self.refused = rclpy, chance, 0
         self._node = rclpy.create_node("soak_driver")
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -408,31 +428,60 @@ def mortal(output: Path) -> None:
     subscribe("soak_mortal", lambda _: None)
 
 
-def probe(output: Path) -> None:
-    """Asks all the time, and measures how late it wakes up itself when it only sleeps."""
+def control(output: Path) -> None:
+    """A node with one service and nothing else to do."""
     import rclpy
     from std_srvs.srv import Trigger
 
+    with ros_node("soak_control") as node:
+        node.create_service(Trigger, "~/describe", lambda _, response: response)
+        rclpy.spin(node)
+
+
+def probe(output: Path) -> None:
+    """Asks all the time, and measures how late it wakes up itself when it only sleeps."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from std_srvs.srv import Trigger
+
     with ros_node("soak_probe") as node, open(output / "probe.jsonl", "w", buffering=1) as file:
-        client = node.create_client(Trigger, f"{NODE}/describe")
-        client.wait_for_service()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        clients = [node.create_client(Trigger, f"{name}/describe") for name in (NODE, "/soak_control")]
+        for client in clients:
+            client.wait_for_service()
+
+        def ask(client: Any) -> tuple[float, Any]:
+            """Time that the answer took [s], and the answer, or None."""
+            asked = time.perf_counter()
+            future = client.call_async(Trigger.Request())
+            executor.spin_until_future_complete(future, timeout_sec=10.0)
+            if not future.done():
+                client.remove_pending_request(future)
+            return time.perf_counter() - asked, future.result()
+
         time.sleep(2.0)
+        for client in clients:
+            ask(client)  # the first answer waits until both ends know of each other
         began = time.monotonic()
         while rclpy.ok():
             asleep = time.perf_counter()
             time.sleep(PROBE_INTERVAL)
-            asked = time.perf_counter()
-            future = client.call_async(Trigger.Request())
-            rclpy.spin_until_future_complete(node, future, timeout_sec=10.0)
-            answer = time.perf_counter() - asked
-            if not future.done():
-                client.remove_pending_request(future)
-            state = json.loads(future.result().message)["state"] if future.done() else "no answer"
-            row = [time.monotonic() - began, answer, asked - asleep - PROBE_INTERVAL, state]
+            late = time.perf_counter() - asleep - PROBE_INTERVAL
+            answer, result = ask(clients[0])
+            state = "no answer" if result is None else json.loads(result.message)["state"]
+            time.sleep(PROBE_INTERVAL)
+            row = [time.monotonic() - began, answer, late, state, ask(clients[1])[0]]
             file.write(json.dumps(row) + "\n")
 
 
-ROLES: dict[str, Callable[[Path], None]] = {"good": good, "slow": slow, "mortal": mortal, "probe": probe}
+ROLES: dict[str, Callable[[Path], None]] = {
+    "good": good,
+    "slow": slow,
+    "mortal": mortal,
+    "control": control,
+    "probe": probe,
+}
 
 if __name__ == "__main__":
     main()

@@ -29,12 +29,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from cloth_core.errors import ClothError, PatternError, SceneError
 from cloth_core.grasp import Pose
+from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
 from cloth_sim_ros.simulation_services import SimulationServices, import_types
 from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
+from cloth_sim_ros.warm_up import warm_up
 from cloth_sim_ros.worker import SimulationWorker
 
 __all__ = ["ClothSimNode", "main"]
@@ -51,6 +53,7 @@ SWITCH_INTERVAL = 0.001
 
 def main(args: list[str] | None = None) -> None:
     """Runs the node until SIGINT or SIGTERM, then ends its log."""
+    _prepare()
     # rclpy ends the context on both signals and calls these afterwards: nothing, so that no exception and no second
     # signal cuts off the log while it is being ended.
     signal.signal(signal.SIGINT, lambda *_: None)
@@ -77,6 +80,15 @@ def main(args: list[str] | None = None) -> None:
     finally:
         node.close()
         try_shutdown()
+
+
+def _prepare() -> None:
+    """Loads and compiles before anybody can see the node, and wait for its answers meanwhile."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: sys.exit())
+    if not cache_directory("cloth_core.step").exists():
+        print("cloth_sim_node: compiling, which takes about a minute at the first start", file=sys.stderr)
+    warm_up()
 
 
 def _descriptor(parameter: NodeParameter) -> ParameterDescriptor:

@@ -1,6 +1,5 @@
 """Turns patterns and bodies into runs, in a thread of its own: meshing a garment takes seconds."""
 
-import gc
 import threading
 import traceback
 from collections.abc import Callable
@@ -133,9 +132,6 @@ class SceneBuilder:
             if len(changes) > 1:
                 return [line for change in changes for line in self._accept([change])]
             return [_line(error, changes[0][0] if changes else "reset")]
-        if self._present is None and run is not None:
-            # The first scene has imported and compiled what all others use; it stays, as what the node has imported.
-            gc.freeze()
         self._inputs, self._present = inputs, run
         self._accepted(inputs, run)
         return []
