@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -38,7 +39,7 @@ class Outlet:
         self._lock = threading.Lock()
         self._log: BackgroundLog | None = None
         self._log_failure = ""
-        self._latched: dict[Topic, bytes] = {}
+        self._latched: dict[Topic, bytes | Callable[[], bytes]] = {}
         self._last_stamp = 0
 
     @property
@@ -65,11 +66,13 @@ class Outlet:
         """Whether a frame sent now would be recorded or reach anybody."""
         return self._log is not None or self._listener.wants_frames()
 
-    def send(self, topic: Topic, data: bytes, stamp: int | None = None, latched: bytes | None = None) -> None:
+    def send(
+        self, topic: Topic, data: bytes, stamp: int | None = None, latched: Callable[[], bytes] | None = None
+    ) -> None:
         """Sends at a time of the run [ns since 1970], by default that of the message before.
 
-        A log that cannot be written ends with one warning; sending goes on. A log that starts later begins with
-        `latched` instead of `data`, if it is given.
+        A log that cannot be written ends with one warning; sending goes on. A log that starts later begins with what
+        `latched` gives by then instead of `data`, if it is given.
         """
         with self._lock:
             self._last_stamp = stamp or self._last_stamp or time.time_ns()
@@ -97,7 +100,7 @@ class Outlet:
             log = BackgroundLog(LogWriter(path, self._node_name), self._on_log_failed)
             for topic, data in self._latched.items():
                 if topic != GARMENT:
-                    log.write(topic, self._last_stamp, data)
+                    log.write(topic, self._last_stamp, data if isinstance(data, bytes) else data())
             self._log, self._log_failure = log, ""
 
     def stop_log(self) -> Path:

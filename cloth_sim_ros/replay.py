@@ -6,10 +6,10 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_core.body import Body
 from cloth_core.errors import ClothError
@@ -25,7 +25,15 @@ from cloth_sim_ros.log_writer import LogError
 from cloth_sim_ros.messages import NANOSECONDS, decode_marker, decode_mesh, decode_string
 from cloth_sim_ros.run_identity import FORMAT, checksum, versions
 from cloth_sim_ros.run_messages import RunMessages
-from cloth_sim_ros.scheduled_simulation import Motion, OutsideAct, repeat, schedule_from
+from cloth_sim_ros.scheduled_simulation import (
+    ActError,
+    FindBody,
+    Motion,
+    OutsideAct,
+    repeat,
+    schedule_from,
+    vertices_checksum,
+)
 from cloth_sim_ros.topics import BODY, BODY_MARKER, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE, Topic
 
 __all__ = ["ReplayDifference", "Verification", "replay_log", "verify_log"]
@@ -91,7 +99,10 @@ def replay_log(path: str | os.PathLike[str], on_tick: OnTick | None = None) -> l
                         on_tick(simulation)
                     return last.stamp(simulation.time) >= end
 
-                repeat(simulation, _schedule(log, run), look)
+                try:
+                    repeat(simulation, _schedule(log, run), look, _moved_bodies(log, run))
+                except ActError as error:
+                    raise LogError(f"log {path}, run {run.number}: {error}") from None
                 reports.append(simulation.report())
     if not reports:
         raise LogError(f"log {path}: it holds no frame of a garment; record a run")
@@ -187,7 +198,25 @@ def _scene(log: LogReader, run: _LoggedRun) -> Scene:
         gravity=_get(log, identity, "gravity", float),
         air_drag=_get(log, identity, "air_drag", float),
         pins=_get(log, identity, "pins", list),
+        without=identity.get("without", ()),
     )
+
+
+def _moved_bodies(log: LogReader, run: _LoggedRun) -> FindBody:
+    """Where the body went, as the messages of the run say; to be asked in the order of time."""
+    messages = _of_run(log, BODY, run)
+
+    def find(wanted: str) -> NDArray[np.float64]:
+        for message in messages:
+            vertices, _ = decode_mesh(message.data)
+            if vertices_checksum(vertices) == wanted:
+                return vertices
+        raise LogError(
+            f"no message of topic {BODY.name} has vertices of the checksum {wanted}; it was changed or left out, or "
+            "the body had moved before recording began"
+        )
+
+    return find
 
 
 def _input(log: LogReader, topic: Topic, run: _LoggedRun, entry: dict[str, Any]) -> bytes:
@@ -228,7 +257,6 @@ def _verify_run(log: LogReader, run: _LoggedRun, on_tick: OnTick | None) -> _Com
     comparison = _Comparison(log, run, scene)
     if comparison.done:
         return comparison
-    _compare_body(log, run, scene)
     simulation = Simulation(scene)
 
     def look(simulation: Simulation) -> bool:
@@ -237,24 +265,19 @@ def _verify_run(log: LogReader, run: _LoggedRun, on_tick: OnTick | None) -> _Com
         return comparison.look(simulation)
 
     try:
-        out_of_step = repeat(simulation, _schedule(log, run), look)
+        out_of_step = repeat(simulation, _schedule(log, run), look, _moved_bodies(log, run))
     except OutsideAct as act:
         raise LogError(
             f"log {log.path}, run {run.number}: the first {comparison.frames} frames are identical; then {act}; "
             "it can be verified no further"
         ) from None
+    except ActError as error:
+        raise LogError(
+            f"log {log.path}, run {run.number}: the first {comparison.frames} frames are identical; then {error}"
+        ) from None
     if not comparison.done:
         comparison.miss(simulation, out_of_step)
     return comparison
-
-
-def _compare_body(log: LogReader, run: _LoggedRun, scene: Scene) -> None:
-    if scene.body is None:
-        return
-    expected = scene.body.vertices[scene.body.triangles].reshape(-1, 3)
-    for message in islice(_of_run(log, BODY_MARKER, run), 1):  # those after it are of a body that has moved
-        if decode_marker(message.data).points.tobytes() != expected.tobytes():
-            raise ReplayDifference(f"log {log.path}, run {run.number}, {message.topic}: it is not the body of the run")
 
 
 class _Comparison:
@@ -268,6 +291,8 @@ class _Comparison:
         self._messages = RunMessages(run.start, "map")
         self._waiting_frames = _of_run(log, GARMENT, run)
         self._waiting_reports = _of_run(log, REPORT, run)
+        self._bodies = ((message, decode_marker(message.data)) for message in _of_run(log, BODY_MARKER, run))
+        self._body = next(self._bodies, None)
         self._frame = next(self._waiting_frames, None)
         self._report = next(self._waiting_reports, None)
         self._doubt: tuple[int, LoggedMessage, ReplayDifference] | None = None
@@ -282,6 +307,7 @@ class _Comparison:
         """Compares what the log has of this moment; true once there is nothing more."""
         stamp = self._messages.stamp(simulation.time)
         self.time = simulation.time
+        self._compare_body(simulation, stamp)
         while self._frame is not None and self._frame.log_time <= stamp:
             if self._frame.log_time < stamp:
                 self.miss(simulation, None)
@@ -300,6 +326,19 @@ class _Comparison:
                 raise difference
             self.reports -= 1
             self._compare_report(simulation, message)
+
+    def _compare_body(self, simulation: Simulation, stamp: int) -> None:
+        """By the stamp in the marker: a log that began later has the last one of before."""
+        while self._body is not None and self._body[1].stamp <= stamp:
+            message, marker = self._body
+            body = simulation.scene.body
+            if body is not None and marker.stamp == stamp:
+                expected = body.vertices[body.triangles].reshape(-1, 3)
+                if marker.points.tobytes() != expected.tobytes():
+                    raise self._difference(
+                        f"{message.topic} (at {simulation.time:.6g} s): it is not the body of the run"
+                    )
+            self._body = next(self._bodies, None)
 
     def _compare_frame(self, simulation: Simulation, message: LoggedMessage) -> None:
         self.frames += 1

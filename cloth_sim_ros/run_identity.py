@@ -50,6 +50,7 @@ def run_identity(
         "gravity": -scene.gravity[2],
         "air_drag": scene.air_drag,
         "pins": scene.pins.tolist(),
+        "without": list(scene.without),
         "versions": versions(),
     }
 

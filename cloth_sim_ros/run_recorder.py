@@ -19,7 +19,7 @@ from cloth_sim_ros.log_writer import LogWriter
 from cloth_sim_ros.messages import Level, encode_diagnostics, encode_mesh, encode_string
 from cloth_sim_ros.run_identity import run_identity
 from cloth_sim_ros.run_messages import RunMessages
-from cloth_sim_ros.scheduled_simulation import Motion, schedule_change
+from cloth_sim_ros.scheduled_simulation import ScheduledSimulation, ScheduleFollower
 from cloth_sim_ros.topics import BODY, BODY_MARKER, DIAGNOSTICS, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE
 
 __all__ = ["RunRecorder"]
@@ -63,7 +63,7 @@ class RunRecorder:
         self._messages = RunMessages(start, frame_id)
         self._last_frame_time = float("-inf")
         self._next_diagnostics = float("-inf")
-        self._schedule: tuple[Motion, ...] = ()
+        self._schedule = ScheduleFollower()
         self._log = LogWriter(path)
         for text in pattern_texts:
             self._log.write(PATTERN, start, encode_string(text))
@@ -103,10 +103,10 @@ class RunRecorder:
 
     def _follow_schedule(self, simulation: Simulation) -> None:
         """Adds how the simulation was moved, if it says so and that has changed."""
-        schedule = getattr(simulation, "schedule", self._schedule)
-        if schedule != self._schedule:
-            change = schedule_change(self._schedule, schedule)
-            self._schedule = schedule
+        if not isinstance(simulation, ScheduledSimulation):
+            return
+        change = self._schedule.change(simulation.schedule)
+        if change is not None:
             self._log.write(SCHEDULE, self._messages.stamp(simulation.time), encode_string(json.dumps(change)))
 
     def _diagnostics(self, simulation: Simulation) -> None:

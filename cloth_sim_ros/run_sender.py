@@ -10,7 +10,7 @@ from cloth_sim_ros.run_identity import run_identity
 from cloth_sim_ros.run_messages import RunMessages
 from cloth_sim_ros.scene_builder import Run
 from cloth_sim_ros.scene_inputs import SceneInputs
-from cloth_sim_ros.scheduled_simulation import Motion, schedule_change
+from cloth_sim_ros.scheduled_simulation import ScheduleFollower
 from cloth_sim_ros.topics import BODY, BODY_MARKER, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE
 
 __all__ = ["RunSender"]
@@ -35,7 +35,7 @@ class RunSender:
             body_color=parameters.body_color,
         )
         self._sent_time: float | None = None
-        self._sent_schedule: tuple[Motion, ...] | None = None
+        self._schedule_follower = ScheduleFollower()
         self._sent_body = inputs.body.body if inputs.body is not None else None
 
     def body(self) -> None:
@@ -101,9 +101,17 @@ class RunSender:
 
     def _schedule(self, run: Run) -> None:
         """Sends how the run was moved, if that has changed, ahead of what came of it."""
-        schedule, sent = run.simulation.schedule, self._sent_schedule
-        if schedule == sent:
+        schedule = run.simulation.schedule
+        change = self._schedule_follower.change(schedule)
+        if change is None:
             return
-        self._sent_schedule = schedule
-        change, whole = (encode_string(json.dumps(schedule_change(before, schedule))) for before in ((sent or ()), ()))
-        self._outlet.send(SCHEDULE, change, self._messages.stamp(run.simulation.time), latched=whole)
+        end = len(schedule)
+
+        def whole() -> bytes:
+            return _encode_json(ScheduleFollower().change(schedule[:end]))
+
+        self._outlet.send(SCHEDULE, _encode_json(change), self._messages.stamp(run.simulation.time), latched=whole)
+
+
+def _encode_json(values: object) -> bytes:
+    return encode_string(json.dumps(values))

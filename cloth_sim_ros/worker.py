@@ -544,7 +544,7 @@ class SimulationWorker:
     def _do_tasks(self, run: Run) -> None:
         with self._wake:
             tasks, self._tasks = self._tasks, deque()
-        run.simulation.grasps.max_speed = self._settings.grasp_speed
+        run.simulation.limit_grasp_speed(self._settings.grasp_speed)
         for task in tasks:
             task(run)
         for name, pose in self._grippers.take_moved().items():

@@ -29,7 +29,7 @@ from cloth_sim_ros.messages import decode_marker, decode_string, encode_string
 from cloth_sim_ros.replay import ReplayDifference, verify_log
 from cloth_sim_ros.run_recorder import RunRecorder
 from cloth_sim_ros.scene_inputs import SceneParameters
-from cloth_sim_ros.scheduled_simulation import ScheduledSimulation, repeat, schedule_change, schedule_from
+from cloth_sim_ros.scheduled_simulation import ScheduledSimulation, ScheduleFollower, repeat, schedule_from
 from cloth_sim_ros.topics import BODY_MARKER, GARMENT, PARAMETERS, PATTERN, REPORT, SCHEDULE, Topic
 
 
@@ -306,15 +306,16 @@ def test_any_changed_byte_is_found_and_located(drape, tmp_path, end):
 def test_schedules_are_put_together_from_their_changes():
     scene = Scene.build(Pattern.from_json(handkerchief(0.2)), quality="draft")
     simulation = ScheduledSimulation(scene)
-    seen, changes = (), []
+    follower, changes = ScheduleFollower(), []
 
     def note():
-        nonlocal seen
-        changes.append(json.loads(json.dumps(schedule_change(seen, simulation.schedule))))
-        seen = simulation.schedule
-        assert schedule_from(changes) == seen
+        change = follower.change(simulation.schedule)
+        if change is not None:  # another tick is none
+            changes.append(json.loads(json.dumps(change)))
+        assert follower.change(simulation.schedule) is None
+        assert list(schedule_from(changes)) == simulation.schedule
 
-    note()
+    assert follower.change(simulation.schedule) is None
     for move in (
         lambda: simulation.advance(0.01),
         lambda: simulation.advance(0.01),
@@ -328,6 +329,8 @@ def test_schedules_are_put_together_from_their_changes():
     ):
         move()
         note()
+    assert max(len(change["motions"]) for change in changes) == 2  # only what is new is said again
+    seen = schedule_from(changes)
     kinds = [(motion.kind, motion.count) for motion in seen]
     assert kinds == [("advance", 2), ("advance", 2), ("advance", 1), ("tick", 1), ("settle", 1), ("settle", 1)]
     again = ScheduledSimulation(scene)
