@@ -57,14 +57,23 @@ setup(
     packages=["cloth_core", "cloth_sim_ros"],
     package_data={
         "cloth_core": ["py.typed", "data/**/*"],
-        "cloth_sim_ros": ["py.typed", "data/**/*", "launch/*", "config/*", "rviz/*", "security/*", "foxglove/*"],
+        "cloth_sim_ros": [
+            "py.typed",
+            "data/**/*",
+            "launch/*",
+            "config/*",
+            "rviz/*",
+            "security/*",
+            "foxglove/*",
+            "dds/*",
+        ],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         *(
             (f"share/{NAME}/{folder}", glob(f"{NAME}/{folder}/*"))
-            for folder in ("launch", "config", "rviz", "security", "foxglove")
+            for folder in ("launch", "config", "rviz", "security", "foxglove", "dds")
         ),
     ],
     zip_safe=False,

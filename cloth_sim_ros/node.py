@@ -2,7 +2,6 @@
 
 import gc
 import json
-import os
 import re
 import signal
 import sys
@@ -31,6 +30,7 @@ from cloth_core.errors import ClothError, PatternError, SceneError
 from cloth_core.grasp import Pose
 from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
+from cloth_sim_ros.delivery import PacedPublisher, configure_fast_dds
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
@@ -60,8 +60,7 @@ def main(args: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, lambda *_: None)
     # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
     sys.setswitchinterval(SWITCH_INTERVAL)
-    # Otherwise whoever publishes sends by itself, and waits for a slow reliable subscriber with all threads of Python.
-    os.environ.setdefault("RMW_FASTRTPS_PUBLICATION_MODE", "ASYNCHRONOUS")
+    configure_fast_dds()
     rclpy.init(args=args)
     try:
         node = ClothSimNode()
@@ -149,10 +148,13 @@ class ClothSimNode(Node):
 
     def _create_publishers(self) -> None:
         self._publishers_of: dict[Topic, Publisher] = {}
+        self._senders: dict[Topic, Publisher | PacedPublisher] = {}
         for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS, CLOCK):
             message_class = MESSAGE_CLASSES[topic.message_type]
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
-            self._publishers_of[topic] = self.create_publisher(message_class, name, qos_profile(topic.qos))
+            publisher = self.create_publisher(message_class, name, qos_profile(topic.qos))
+            self._publishers_of[topic] = publisher
+            self._senders[topic] = PacedPublisher(publisher) if topic.qos.latched else publisher
 
     def _create_subscriptions(self) -> None:
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
@@ -297,15 +299,15 @@ class ClothSimNode(Node):
 
     def send(self, topic: Topic, data: bytes) -> None:
         """Publishes CDR bytes as they are."""
-        publisher = self._publishers_of.get(topic)
-        if publisher is None:
+        sender = self._senders.get(topic)
+        if sender is None:
             return
         try:
-            publisher.publish(data)
+            sender.publish(data)
         except Exception as error:
             # The context may go down between two statements of this thread; then nobody waits for the message.
             if self.context.ok():
-                self._log.error(f"{publisher.topic_name}: {error}")
+                self._log.error(f"{topic.name}: {error}")
 
     def inform(self, line: str) -> None:
         """Logs; to standard error once the context is down, when there is no /rosout any more."""

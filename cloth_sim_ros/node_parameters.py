@@ -1,7 +1,7 @@
 """The parameters of the node: what they mean, in which ranges they lie, and the checks that no range expresses."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -10,6 +10,7 @@ from cloth_core.errors import ClothError
 from cloth_core.fabric import Fabric, fabric_presets
 from cloth_core.pattern import builtin_patterns
 from cloth_core.quality import QUALITIES
+from cloth_core.switched_off import SWITCHABLE, check_without
 from cloth_sim_ros.scene_inputs import Limits, SceneParameters
 from cloth_sim_ros.worker import WorkerSettings
 
@@ -92,6 +93,13 @@ PARAMETERS = (
         "1/s",
         lowest=0.0,
         highest=1000.0,
+    ),
+    NodeParameter(
+        "without",
+        [""],  # an empty list would have no type
+        "Terms that are switched off; the report says what the run lacks",
+        NEXT_SCENE,
+        constraints=f"Some of {', '.join(SWITCHABLE)}; [''] for none.",
     ),
     NodeParameter(
         "frame_id",
@@ -230,7 +238,13 @@ def scene_parameters(values: Mapping[str, Any]) -> SceneParameters:
     chosen = {field.name: values[field.name] for field in fields(SceneParameters)}
     for color in ("garment_color", "body_color"):
         chosen[color] = tuple(chosen[color])
+    chosen["without"] = _names(values["without"])
     return SceneParameters(**chosen)
+
+
+def _names(values: Iterable[str]) -> tuple[str, ...]:
+    """Those that are not empty, each once."""
+    return tuple(dict.fromkeys(name for name in values if name))
 
 
 def worker_settings(values: Mapping[str, Any]) -> WorkerSettings:
@@ -251,6 +265,7 @@ def check(values: Mapping[str, Any]) -> None:
     """
     Fabric.preset(values["fabric"])
     scene_parameters(values).settings()
+    check_without(_names(values["without"]))
     for name, choices in (("body", builtin_bodies()), ("pattern", builtin_patterns())):
         if values[name] and values[name] not in choices:
             raise ClothError(f"{name} '{values[name]}': not known; use one of {', '.join(choices)}")

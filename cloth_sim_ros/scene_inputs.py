@@ -31,6 +31,8 @@ class SceneParameters:
     """Downward [m/s^2]."""
     air_drag: float = 1.0
     """k_a [1/s]."""
+    without: tuple[str, ...] = ()
+    """Terms that are switched off."""
     frame_id: str = "map"
     garment_color: Color = GARMENT_COLOR
     body_color: Color = BODY_COLOR
@@ -144,4 +146,5 @@ def build_scene(inputs: SceneInputs, limits: Limits) -> Scene:
         settings=settings,
         gravity=parameters.gravity,
         air_drag=parameters.air_drag,
+        without=parameters.without,
     )

@@ -114,6 +114,19 @@ def air_drag(client, change):
         assert (first - step(client))[:, 2] == pytest.approx(fallen(drag, 0.1), rel=0.02)
 
 
+def without(client, change):
+    assert reset(client)["scene"]["terms"]["gravity"]["active"]
+    refused = client.set_parameter("without", ["gravity", "wind"])
+    assert not refused.successful
+    assert refused.reason.startswith("without 'wind': no term that can be switched off; use some of gravity, ")
+    change("without", ["gravity", "friction"])
+    assert client.describe()["scene"]["terms"]["gravity"]["active"]  # of the garment that is there
+    terms = reset(client)["scene"]["terms"]
+    assert [name for name, term in terms.items() if term["reason"] == "switched off by hand"] == ["gravity", "friction"]
+    first = decode_marker(client.received["garment"][-1]).points
+    assert step(client) == pytest.approx(first, abs=1e-9)
+
+
 def frame_id(client, change):
     change("frame_id", "room")
     reset(client)
@@ -330,6 +343,7 @@ PROBES = {
     "tolerance": tolerance,
     "gravity": gravity,
     "air_drag": air_drag,
+    "without": without,
     "frame_id": frame_id,
     "publish_rate": publish_rate,
     "auto_start": auto_start,
