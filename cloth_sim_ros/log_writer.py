@@ -10,6 +10,7 @@ from types import TracebackType
 from mcap.writer import CompressionType, IndexType, Writer
 
 from cloth_core.errors import ClothError
+from cloth_sim_ros.log_compression import FastWriter
 from cloth_sim_ros.log_repair import end_log
 from cloth_sim_ros.messages import message_definition
 from cloth_sim_ros.topics import DEFAULT_NODE_NAME, Topic
@@ -70,7 +71,7 @@ class LogWriter:
             raise LogExistsError(f"log {self.path}: the file exists; choose another name or remove it") from None
         except OSError as error:
             raise LogError(f"log {self.path}: {error.strerror}; choose a directory that can be written") from None
-        self._writer: Writer | None = Writer(
+        self._writer: Writer | None = FastWriter(
             self._stream,  # type: ignore[arg-type]  # it only writes, flushes and asks for the position
             chunk_size=CHUNK_SIZE,
             compression=CompressionType.ZSTD,
