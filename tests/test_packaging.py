@@ -20,6 +20,7 @@ SHARED_FILES = (
     "launch/cloth_sim.launch.py",
     "config/cloth_sim.yaml",
     "rviz/cloth_sim.rviz",
+    "dds/fastdds.xml",
     "foxglove/cloth_sim.json",
 )
 PACKAGE_DATA = (
@@ -32,7 +33,7 @@ PACKAGE_DATA = (
 )
 ROS_PACKAGES = re.compile(r"(rclpy|rcl_\w+|ament_\w+|rosidl_\w+|builtin_interfaces|launch(_ros)?|\w+_(msgs|srvs))$")
 # These talk to a ROS graph; everything else works without ROS.
-TALKS_TO_ROS = {"demo.py", "node.py", "play.py", "rclpy_topics.py", "cloth_sim.launch.py"}
+TALKS_TO_ROS = {"delivery.py", "demo.py", "node.py", "play.py", "rclpy_topics.py", "cloth_sim.launch.py"}
 
 
 def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
