@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from cloth_core.coarse_start import Interpolation, clear_of_body, interpolation_between
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
-from cloth_core.garment import Seam
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
@@ -24,6 +23,7 @@ from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
 from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
+from cloth_core.seam_closing import SeamClosing, count_crossings
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
@@ -46,9 +46,6 @@ _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
 _STEPS_PER_SEARCH = 60
 _LEAST_REACH = 0.001
-# Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
-_SEWING_INTERVAL = 0.05
-_STALLED = 0.9
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
 _SOFTNESS = 1.0 / 16.0
@@ -123,15 +120,13 @@ class Simulation:
         self._searches = 0
         self._warnings: list[str] = []
         self._seeking_rest = False
-        self._open_seams: dict[str, float] = {}
-        self._widest_gap = math.inf
+        self._seams = SeamClosing()
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
         self._rough = False
         self._calming = True
         self._impulse_step = 1.0
         self._flight_step = math.inf
-        self._next_sewing = 0.0
         self._speed = 0.0
         self.grasps = Grasps()
         self._body_motion: BodyMotion | None = None
@@ -276,10 +271,10 @@ class Simulation:
             self._use(self.model, x, np.zeros_like(x))
             return stopped
         model = Model(scene, closed=scene.garment.seams)
-        if not coarse._open_seams and scene.body is not None:
+        if not coarse._seams.open_seams and scene.body is not None:
             sewn = model.gather(x, scene.garment.particle_areas)
             x = clear_of_body(sewn, model.triangles, scene.body, scene.settings.contact_offset)[model.number]
-        if not coarse._open_seams and self._crossings(model, x) == 0:
+        if not coarse._seams.open_seams and count_crossings(scene, model, x) == 0:
             self.phase = DRAPING
             self._use(model, x, np.zeros_like(x))
         return stopped
@@ -515,58 +510,14 @@ class Simulation:
         )
 
     def _sew(self) -> None:
-        """Merge the seams once all are closed, or no longer get narrower, or the time for sewing is over."""
-        settings = self.scene.settings
-        sewn_for = self.time - self._sewing_began
-        if sewn_for < settings.closing_time or self.time < self._next_sewing:
+        """Merge the seams when they have closed."""
+        model = self._seams.merged(self.scene, self.model, self.positions, self.time, self.time - self._sewing_began)
+        if model is None:
             return
-        self._next_sewing = self.time + _SEWING_INTERVAL
-        gaps = seam_gaps(self.scene.garment, self.positions)
-        widest, before = max(gaps.values()), self._widest_gap
-        self._widest_gap = widest
-        late = sewn_for >= settings.sewing_time
-        if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
-            return
-        # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
-        choices = [self._merged(settings.merge_distance)]
-        if (choices[0].number != self.scene.garment.merged_indices).any() and not late:
-            return
-        if late:
-            choices += [
-                self._merged(limit) for limit in np.geomspace(settings.merge_distance, settings.seam_tolerance, 4)
-            ]
-        present = self._crossings(self.model, self.positions)
-        added = [self._crossings(model, self.positions) - present for model in choices]
-        if min(added) > 0 and not late:
-            return
-        model = choices[int(np.argmin(added))]
-        whole = {seam.name: len(seam.first) for seam in self.scene.garment.seams}
-        closed = {seam.name for seam in model.closed if len(seam.first) == whole[seam.name]}
-        self._open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
-        for name, gap in self._open_seams.items():
+        for name, gap in self._seams.open_seams.items():
             self._warnings.append(f"seam {name}: still {1000 * gap:.1f} mm open after {self.time:.2g} s; it stays open")
         self.phase = DRAPING
         self._use(model, self.positions, np.asarray(self._v[self.model.number]))
-
-    def _merged(self, limit: float) -> Model:
-        """The model in which all seam points nearer to each other than limit [m] are merged."""
-        x = self.positions
-        near = [np.linalg.norm(x[s.first] - x[s.second], axis=1) <= limit for s in self.scene.garment.seams]
-        parts = zip(self.scene.garment.seams, near, strict=True)
-        return Model(self.scene, closed=tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in parts if k.any()))
-
-    def _crossings(self, model: Model, unsewn_x: Floats) -> int:
-        """Sides that pass through the body or the cloth when positions (n, 3) are put into a model's numbering."""
-        x = model.gather(unsewn_x, self.scene.garment.particle_areas)
-        identity = None
-        if model.sewing:  # triangles that will share a point once sewn are neighbours already
-            identity = np.zeros(model.particle_count, dtype=np.int32)
-            identity[model.number] = self.scene.garment.merged_indices
-        crossings = len(self_crossing_edges(x, model.triangles, identity))
-        body = self.scene.body
-        if body is not None:
-            crossings += len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
-        return crossings
 
     def _open_window(self) -> None:
         settings, gravity = self.scene.settings, self.scene.gravity
@@ -682,7 +633,7 @@ class Simulation:
             max_shear_strain=float(shear.max(initial=0.0)),
             strain_limit=scene.fabric.strain_limit,
             max_seam_gap=max(gaps.values(), default=0.0),
-            open_seams=self._open_seams,
+            open_seams=self._seams.open_seams,
             body_intersections=crossings,
             self_intersections=len(self_crossing_edges(x, model.triangles)),
             max_penetration=penetration,
