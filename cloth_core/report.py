@@ -36,6 +36,7 @@ class Report:
         contact_searches: how often contacts were searched.
         warnings: one line each.
         state_sha256: hash of the final positions and velocities.
+        time_not_stepped: part of simulated_time in which nothing moved and nothing was computed [s].
         gate: verdict of GarmentCode's gate (`gate.judge`), null where it was not asked for.
     """
 
@@ -67,6 +68,7 @@ class Report:
     expected_error_source: str
     warnings: tuple[str, ...] = field(default=())
     state_sha256: str = ""
+    time_not_stepped: float = 0.0
     gate: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:

@@ -63,6 +63,8 @@ _CALM = 0.5
 _NEARLY = 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
+# A run that has come to rest is no longer stepped when nothing moves farther than this in a window [m].
+_NOTHING = 1e-7
 # Cloth faster than this has left physics [m/s].
 _HIGHEST_SPEED = 1000.0
 
@@ -120,6 +122,8 @@ class Simulation:
         self._searches = 0
         self._warnings: list[str] = []
         self._seeking_rest = False
+        self._has_settled = self._asleep = False
+        self._time_not_stepped = 0.0
         self._seams = SeamClosing()
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
@@ -187,6 +191,9 @@ class Simulation:
     def advance(self, duration: float, on_tick: OnTick | None = None) -> None:
         """Simulate `duration` [s] of physical time; on_tick may return True to stop.
 
+        Once a run to rest has ended and after it nothing moves any more by as much as 0.1 um in a window, time goes on
+        without steps until something acts from outside.
+
         Raises:
             SimulationError: as in tick.
         """
@@ -194,6 +201,10 @@ class Simulation:
             raise SimulationError(f"advance: {duration!r} s is not a duration; give a number of seconds")
         end = self.time + duration
         while self.time < end - 1e-12:
+            if self._asleep:
+                self._time_not_stepped += end - self.time
+                self.time = end
+                return
             left = math.ceil((end - self.time) / self._dt - 1e-9)
             self._run(min(_TICK_STEPS, left), last_time=end)
             if on_tick is not None and on_tick(self):
@@ -339,7 +350,7 @@ class Simulation:
         return self._body_motion is not None
 
     def _wake(self) -> None:
-        self.settled = False
+        self.settled = self._asleep = False
         if self.phase == REST:
             self.phase = DRAPING
         self._open_window()
@@ -539,6 +550,9 @@ class Simulation:
         self._calming = not at_rest and movement > allowed
         self.settled = at_rest
         if self.settled:
+            acted_on = self._body_motion is not None or bool(self.grasps)
+            self._asleep = self._has_settled and not acted_on and movement <= _NOTHING
+            self._has_settled = self._has_settled or self._seeking_rest
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
@@ -642,6 +656,7 @@ class Simulation:
             expected_error_source=scene.settings.expected_error_source,
             warnings=tuple(dict.fromkeys(warnings)),
             state_sha256=self.state_hash(),
+            time_not_stepped=self._time_not_stepped,
         )
 
     def _term_facts(self, missed: dict[str, str]) -> dict[str, dict[str, Any]]:
