@@ -1,7 +1,7 @@
 """Measures what error to expect at which spacing and writes the table that `--quality` and `--tolerance` are read from.
 
-    python benchmarks/calibrate.py --runs runs --finest 10 [--processes 2]     # goes on where it was stopped
-    python benchmarks/calibrate.py --runs runs --finest 10 --check             # held-back scenes against the table
+    python benchmarks/calibrate.py --runs runs --finest 7.5 [--processes 2]     # goes on where it was stopped
+    python benchmarks/calibrate.py --runs runs --finest 7.5 --check             # held-back scenes against the table
 
 The first writes `cloth_core/data/calibration.json`, the second `benchmarks/calibration_check.json` and prints the share
 of held-back cases that keep the promise. Neither patterns nor bodies nor fabrics of the held-back scenes are among
@@ -37,8 +37,8 @@ PACKAGE = Path(__file__).parents[1] / "cloth_core"
 TABLE = PACKAGE / "data" / "calibration.json"
 CHECK = Path(__file__).parent / "calibration_check.json"
 
-SPACINGS = (0.04, 0.03, 0.025, 0.02, 0.015, 0.0125)
-CHECKED = (0.04, 0.025, 0.02, 0.015)
+SPACINGS = (0.04, 0.03, 0.025, 0.02, 0.015, 0.0125, 0.01)
+CHECKED = (0.04, 0.025, 0.015, 0.01)
 SEEDS = (1, 2)
 
 CALIBRATED = (
@@ -61,7 +61,7 @@ def main() -> int:
     """Run the command; the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--runs", type=Path, required=True, help="directory of the finished runs")
-    parser.add_argument("--finest", type=float, default=10.0, help="spacing of the references [mm]")
+    parser.add_argument("--finest", type=float, default=7.5, help="spacing of the references [mm]")
     parser.add_argument("--spread-at", type=float, default=20.0, help="spacing at which the start is disturbed [mm]")
     parser.add_argument("--processes", type=int, help="runs at once; one for each core if not given")
     parser.add_argument("--check", action="store_true", help="held-back scenes against the table")

@@ -288,3 +288,23 @@ def test_runs_and_single_springs_give_the_same_forces(damping_time):
     )
     together = spring_force(x, v, springs.pairs, springs.rest_length, springs.stiffness, damping_time)
     np.testing.assert_allclose(together, single, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("spacing", [0.03, 0.02])
+def test_nothing_swings_faster_than_an_endless_lattice(spacing):
+    # In the mode that alternates along a row, w^2 = 4 (k_structural + k_shear) / m; at the outline of a disc particles
+    # are lighter and springs shorter.
+    k, shear, density = 800.0, 60.0, 0.2
+    garment = curved_panel(spacing)
+    springs = build_springs(garment, plain_fabric(structural_warp=k, structural_weft=k, shear=shear))
+    matrix = np.zeros((2 * garment.particle_count,) * 2)
+    for (i, j), length, stiffness in zip(springs.pairs, springs.rest_length, springs.stiffness, strict=True):
+        along = (garment.rest[j] - garment.rest[i]) / length
+        block = stiffness * np.outer(along, along)
+        for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+            matrix[2 * a : 2 * a + 2, 2 * b : 2 * b + 2] += sign * block
+    scale = np.repeat(1.0 / np.sqrt(density * garment.particle_areas), 2)
+    highest = np.linalg.eigvalsh(scale[:, None] * matrix * scale)[-1]
+    a, b, _, d = garment.quads[0]
+    cell = (garment.rest[b, 0] - garment.rest[a, 0]) * (garment.rest[d, 1] - garment.rest[a, 1])
+    assert 0.8 < highest / (4.0 * (k + shear) / (density * cell)) < 1.01

@@ -1,0 +1,76 @@
+"""A coarse drape as a start: places on it, what cuts through the body, and the same drape at the end."""
+
+import numpy as np
+import pytest
+import trimesh
+from apparatus import body_of, crossings, pattern, rectangle, sheet
+
+from cloth_core.body import Body
+from cloth_core.calibration import Cloth, calibration
+from cloth_core.coarse_start import clear_of_body, interpolation_between
+from cloth_core.drape_error import Drape, drape_error
+from cloth_core.garment import Garment
+from cloth_core.pattern import Pattern
+from cloth_core.quality import Settings
+from cloth_core.scene import Scene
+from cloth_core.simulation import Simulation
+
+CUBE = body_of(trimesh.creation.box(extents=[0.2, 0.2, 0.2]))
+
+
+def test_places_of_a_rectangle_carry_every_linear_map_over_exactly():
+    data = pattern({"panel": rectangle(0.3, 0.2)})
+    coarse, fine = (Garment.from_pattern(data, spacing) for spacing in (0.05, 0.02))
+    interpolation = interpolation_between(coarse, fine)
+    linear = np.random.default_rng(4).standard_normal((2, 3))
+    np.testing.assert_allclose(interpolation(coarse.rest @ linear), fine.rest @ linear, atol=1e-12)
+    np.testing.assert_allclose(interpolation.weights.sum(axis=1), 1.0, rtol=1e-12)
+    assert (interpolation.weights >= 0.0).all()
+
+
+def test_points_of_a_seam_still_meet():
+    shirt = Pattern.load("tshirt")
+    coarse, fine = (Garment.from_pattern(shirt, spacing) for spacing in (0.06, 0.03))
+    interpolation = interpolation_between(coarse, fine)
+    # Coarse points that are sewn lie together; nothing else does.
+    x = np.random.default_rng(5).standard_normal((coarse.particle_count, 3))[coarse.merged_indices]
+    found = interpolation(x)
+    for seam in fine.seams:
+        np.testing.assert_allclose(found[seam.first], found[seam.second], atol=1e-12)
+
+
+def test_cloth_that_cuts_across_an_edge_of_the_body_is_moved_out():
+    # A sheet bent over an edge of the cube, 2 mm away from it, but with no particle near the edge.
+    garment = sheet(0.1, 0.15, 0.05)
+    x = garment.start.copy()
+    along = garment.rest[:, 1]  # from the edge: -75, -25, 25 and 75 mm
+    over = along < 0.0
+    x[:, 0] = np.where(over, 0.102, 0.102 - along)
+    x[:, 2] = np.where(over, 0.102 + along, 0.102)
+    x[:, 1] = garment.rest[:, 0]
+    assert crossings(x, garment.triangles, CUBE) > 0
+    moved = clear_of_body(x, garment.triangles, CUBE, 0.003)
+    assert crossings(moved, garment.triangles, CUBE) == 0
+    assert np.linalg.norm(moved - x, axis=1).max() < 0.02
+    np.testing.assert_array_equal(clear_of_body(moved, garment.triangles, CUBE, 0.003), moved)
+
+
+@pytest.mark.parametrize("garment", ["skirt", "tshirt"])
+def test_drape_is_the_same_as_from_a_fine_start(garment, monkeypatch):
+    def draped() -> tuple[Simulation, Drape]:
+        simulation = Simulation(
+            Scene.build(Pattern.load(garment), Body.load("middle_aged"), settings=Settings(spacing=0.02))
+        )
+        assert simulation.settle().settled
+        g = simulation.scene.garment
+        return simulation, Drape(simulation.positions, g.triangles, g.panel_of_triangle, g.panel_names)
+
+    coarse, found = draped()
+    monkeypatch.setattr("cloth_core.simulation._COARSEST", 0.0)
+    fine, expected = draped()
+    assert coarse.state_hash() != fine.state_hash()
+    # Folds have many resting shapes (docs/accuracy.md); a run promises to be this near to the right one.
+    scene = coarse.scene
+    promise = calibration().promise(0.02, Cloth.of(scene.garment.areas.sum(), scene.fabric))
+    assert promise is not None
+    assert drape_error(found, expected).rms < promise
