@@ -147,10 +147,15 @@ class SimulationWorker:
         """Says where a gripper is; what it holds follows."""
         if not self._grippers.set_pose(name, pose):
             return
-        with self._state.wake:
-            if self._state.rested and self._state.run is not None and name in self._state.run.simulation.grasps:
-                self._state.add_task(lambda _: None)  # so that the simulation thread looks
+
+        def go_on(_: Run) -> None:
+            with self._state.wake:
                 self._state.resume()
+
+        with self._state.wake:
+            # Done between two ticks or, when the run has just ended and its report is being made, after that.
+            if self._state.run is not None and name in self._state.run.simulation.grasps:
+                self._state.add_task(go_on)
 
     def grasp(self, name: str) -> str:
         """Holds the particles around a gripper from now on."""
