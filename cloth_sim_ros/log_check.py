@@ -31,6 +31,7 @@ _RECORD_HEAD = struct.Struct("<BQ")
 _FOOTER_LENGTH = 20
 _TAIL_LENGTH = _RECORD_HEAD.size + _FOOTER_LENGTH + len(MCAP0_MAGIC)
 _BLOCK = 1024 * 1024
+_FARTHEST = 2**40
 
 
 @dataclass
@@ -124,7 +125,8 @@ def _topics_of_chunk(stream: BinaryIO, position: int, walk: _Walk) -> list[str]:
             return topics
         channel = int.from_bytes(head[-2:], "little")
         topics.append(walk.topics.get(channel, f"channel {channel}"))
-        position += _RECORD_HEAD.size + _RECORD_HEAD.unpack(head[: _RECORD_HEAD.size])[1]
+        # A length that was changed may lead to where no file can be read.
+        position += _RECORD_HEAD.size + min(_RECORD_HEAD.unpack(head[: _RECORD_HEAD.size])[1], _FARTHEST)
 
 
 def _check_data(path: Path, stream: BinaryIO, data_end: int, end: int) -> None:

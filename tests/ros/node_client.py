@@ -113,6 +113,24 @@ class Client:
             self._executor.spin_once(0.05)
         return value
 
+    def ask(self, name: str, request: Any, kind: Any) -> Any:
+        """Answer of a service below the node that changes nothing, so that it can be asked for again.
+
+        A service may see a request before it sees who waits for the answer, which is lost then: DDS discovers the two
+        ways one after the other.
+        """
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, f"{self.node_name}/{name}")
+        client = self._clients[name]
+        self.wait(client.service_is_ready)
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            future, until = client.call_async(request), time.monotonic() + 5.0
+            self.wait(lambda future=future, until=until: future.done() or time.monotonic() > until)
+            if future.done():
+                return future.result()
+            assert time.monotonic() < deadline
+
     def call(self, name: str, request: Any = None, kind: Any = Trigger) -> Any:
         """Answer of a service below the node."""
         if name not in self._clients:
@@ -143,7 +161,7 @@ class Client:
 
     def describe(self) -> dict[str, Any]:
         """Content of ~/describe."""
-        answer = self.call("describe")
+        answer = self.ask("describe", Trigger.Request(), Trigger)
         assert answer.success
         content: dict[str, Any] = json.loads(answer.message)
         return content
@@ -157,16 +175,16 @@ class Client:
         """Result of setting a parameter, with its reason."""
         message: ParameterMessage = Parameter(name, value=value).to_parameter_msg()
         request = SetParameters.Request(parameters=[message])
-        return self.call("set_parameters", request, SetParameters).results[0]
+        return self.ask("set_parameters", request, SetParameters).results[0]
 
     def get_parameter(self, name: str) -> Any:
         """Value message of a parameter."""
-        return self.call("get_parameters", GetParameters.Request(names=[name]), GetParameters).values[0]
+        return self.ask("get_parameters", GetParameters.Request(names=[name]), GetParameters).values[0]
 
     def describe_parameters(self, names: list[str]) -> Any:
         """Descriptors."""
         request = DescribeParameters.Request(names=names)
-        return self.call("describe_parameters", request, DescribeParameters).descriptors
+        return self.ask("describe_parameters", request, DescribeParameters).descriptors
 
     def close(self) -> None:
         """Leaves the graph."""
