@@ -24,6 +24,8 @@ from cloth_core.switched_off import check_without
 __all__ = ["Scene"]
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
+# How far each particle of a disturbed start is from its place [m].
+_DISTURBANCE = 1e-4
 # Between panels that had to be moved apart at the start [m].
 _PANEL_GAP = 0.01
 
@@ -42,6 +44,7 @@ class Scene:
         settings: spacing, time step, contact, rest.
         without: names of terms that are switched off by hand; a report says what the run lacks for want of them.
         worn: the patterns that it was built from, if any, innermost first.
+        seed: with which the start was disturbed (`disturbed`); 0 if it was not.
         warnings: one line each.
     """
 
@@ -54,6 +57,7 @@ class Scene:
     settings: Settings = field(default_factory=Settings)
     without: tuple[str, ...] = ()
     worn: tuple[Pattern, ...] = ()
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if len(self.gravity) != 3 or not all(math.isfinite(g) for g in self.gravity):
@@ -145,10 +149,19 @@ class Scene:
         Raises:
             ClothError: a panel cannot be meshed or placed at that spacing.
         """
-        return Scene.build(
+        scene = Scene.build(
             self.worn, self.body, self.fabric, settings=replace(self.settings, spacing=spacing),
             gravity=-self.gravity[2], air_drag=self.air_drag, without=self.without,
         )  # fmt: skip
+        return scene.disturbed(self.seed)
+
+    def disturbed(self, seed: int) -> Scene:
+        """The same scene with each particle 0.1 mm off its start, in a direction drawn with seed; 0 for nothing."""
+        if seed <= 0:
+            return self
+        way = np.random.default_rng(seed).standard_normal(self.garment.start.shape)
+        way *= _DISTURBANCE / np.linalg.norm(way, axis=1, keepdims=True)
+        return replace(self, garment=replace(self.garment, start=self.garment.start + way), seed=seed)
 
 
 def _check_scale(garment: Garment, body: Body) -> None:

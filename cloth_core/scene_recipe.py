@@ -18,8 +18,6 @@ from cloth_core.scene import STANDARD_GRAVITY, Scene
 
 __all__ = ["SceneRecipe"]
 
-_DISTURBANCE = 1e-4  # m
-
 
 @dataclass(frozen=True)
 class SceneRecipe:
@@ -72,11 +70,7 @@ class SceneRecipe:
         pins = [int(((garment.start - np.asarray(p)) ** 2).sum(axis=1).argmin()) for p in self.pinned]
         if pins:
             scene = replace(scene, pins=np.unique(np.asarray(pins, dtype=np.int32)))
-        if seed > 0:
-            way = np.random.default_rng(seed).standard_normal(garment.start.shape)
-            way *= _DISTURBANCE / np.linalg.norm(way, axis=1, keepdims=True)
-            scene = replace(scene, garment=replace(garment, start=garment.start + way))
-        return scene
+        return scene.disturbed(seed)
 
     def digest(self) -> str:
         """Hash of what the scene is made of: the contents of the files and the fabric's figures, not their names.

@@ -74,3 +74,15 @@ def test_drape_is_the_same_as_from_a_fine_start(garment, monkeypatch):
     promise = calibration().promise(0.02, Cloth.of(scene.garment.areas.sum(), scene.fabric))
     assert promise is not None
     assert drape_error(found, expected).rms < promise
+
+
+def test_a_disturbed_start_disturbs_the_coarse_one_too():
+    scene = Scene.build(Pattern.load("skirt"), Body.load("young"), settings=Settings(spacing=0.03))
+    assert scene.disturbed(0) is scene
+    one, two = scene.disturbed(1), scene.disturbed(2)
+    for other in (one, two):
+        way = np.linalg.norm(other.garment.start - scene.garment.start, axis=1)
+        np.testing.assert_allclose(way, 1e-4, rtol=1e-9)
+    coarse, plain = one.with_spacing(0.06), scene.with_spacing(0.06)
+    way = np.linalg.norm(coarse.garment.start - plain.garment.start, axis=1)
+    np.testing.assert_allclose(way, 1e-4, rtol=1e-9)
