@@ -15,13 +15,14 @@ from cloth_core.garment import Garment
 from cloth_core.intersections import crossing_edges
 from cloth_core.mesh_distance import distances_to_mesh
 
-__all__ = ["clear_of_body"]
+__all__ = ["below_body_warnings", "clear_of_body"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 _STEP = 0.01  # m
 _FARTHEST = 1.0  # m
+_BELOW_SHARE = 0.1  # of a garment's area below the body from which on it is warned about
 
 
 def clear_of_body(garment: Garment, body: Body, gap: float) -> Garment:
@@ -57,6 +58,23 @@ def clear_of_body(garment: Garment, body: Body, gap: float) -> Garment:
             side = "outwards" if shift > 0 else "inwards"
             warnings.append(f"panel '{name}': starts inside the body; moved {abs(1000 * shift):.0f} mm {side}")
     return replace(garment, start=start, warnings=tuple(warnings))
+
+
+def below_body_warnings(garment: Garment, body: Body) -> tuple[str, ...]:
+    """One line if a good part of a garment starts below the body's lowest point, where nothing can hold it.
+
+    A pattern says nothing of the body that it was drawn for. One whose origin is at the waist, for example, puts a
+    garment for a body that stands on height 0 around its feet.
+    """
+    lowest = float(body.vertices[:, 2].min())
+    height = garment.start[:, 2]
+    share = float(garment.particle_areas[height < lowest].sum() / garment.particle_areas.sum())
+    if share < _BELOW_SHARE:
+        return ()
+    return (
+        f"{100.0 * share:.0f} % of the garment starts below body '{body.name}', up to {lowest - height.min():.2f} m "
+        "below its lowest point; if the pattern has its origin elsewhere, raise the panels' translations",
+    )
 
 
 def _shifts(sewn: bool) -> Iterator[float]:

@@ -17,7 +17,7 @@ from cloth_core.garment import Garment
 from cloth_core.layering import separate_panels
 from cloth_core.pattern import Pattern
 from cloth_core.pattern_layers import layers_of
-from cloth_core.placement import clear_of_body
+from cloth_core.placement import below_body_warnings, clear_of_body
 from cloth_core.quality import Settings, settings_for, with_expected_error
 from cloth_core.switched_off import check_without
 
@@ -126,6 +126,7 @@ class Scene:
         layers = [k for k, g in enumerate(garments) for _ in g.panel_names]
         if body is not None:
             _check_scale(garment, body)
+            garment = replace(garment, warnings=garment.warnings + below_body_warnings(garment, body))
             garment = clear_of_body(garment, body, chosen.contact_offset)
         apart = separate_panels(garment, layers, _PANEL_GAP)
         if body is not None and apart is not garment:

@@ -225,3 +225,31 @@ def test_scene_is_plain_data_that_can_be_changed_by_a_copy():
     assert scene.gravity[2] < 0
     with pytest.raises(AttributeError):
         scene.gravity = (0.0, 0.0, 0.0)
+
+
+# ---- garments that start below the body
+
+
+@pytest.mark.parametrize("garment", ["tshirt", "skirt", "trousers", "dress"])
+def test_garment_whose_origin_is_not_on_the_ground_is_warned_about(garment):
+    body = Body.load("young")
+    at_home = Scene.build(Pattern.load(garment), body, settings=DRAFT)
+    assert not any("below body" in line for line in at_home.warnings)
+    lifted = Body.from_arrays(body.vertices + np.array([0.0, 0.0, 1.5]), body.triangles, "lifted")
+    (line,) = (w for w in Scene.build(Pattern.load(garment), lifted, settings=DRAFT).warnings if "below body" in w)
+    depth = 1.5 + body.vertices[:, 2].min() - at_home.garment.start[:, 2].min()
+    assert f"body 'lifted', up to {depth:.2f} m below its lowest point" in line
+
+
+def test_share_of_a_garment_that_starts_below_the_body():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    body = Body.from_arrays(ball.vertices + np.array([0.0, 0.0, 0.2]), ball.faces, "ball")
+
+    def lines(height: float) -> list[str]:
+        cloth = pattern({"p": rectangle(0.4, 1.0, at=(0, height, 1))})
+        return [w for w in Scene.build(cloth, body, settings=Settings(spacing=0.02)).warnings if "below body" in w]
+
+    lowest = pattern({"p": rectangle(0.4, 1.0, at=(0, 0, 1))}).panels["p"]
+    bottom = float(lowest.to_world(lowest.vertices)[:, 2].min())
+    assert lines(-bottom - 0.05) == []  # 5 % of it
+    assert lines(-bottom - 0.29)[0].startswith(("29 % of the garment", "30 % of the garment"))
