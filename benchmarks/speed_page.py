@@ -37,8 +37,6 @@ What remains between this and the C program: forces are added to both ends of a 
 computes each spring twice instead and adds in registers), the rim is a list, and bending takes three passes over
 memory, one for each axis.
 
-In the table below, the row of 20 mm is from a run of its own right after the others: in theirs it reached the time
-limit.
 """
 
 

@@ -47,6 +47,8 @@ def largest_eigenpair(
     The residual of the Ritz pair is added to its value, so that a Lanczos run that has not converged errs on the safe
     side. `start` has any shape; the operator maps arrays of that shape.
     """
+    from scipy.linalg import eigh_tridiagonal
+
     shape = start.shape
     norm = _norm(start)
     if norm == 0.0:
@@ -70,8 +72,9 @@ def largest_eigenpair(
         beta.append(beta_k)
         last = beta[-1] <= 1e-12 * max(abs(a) for a in alpha) or k == iterations - 1
         if last or k % 4 == 3:
-            values, vectors = np.linalg.eigh(np.diag(alpha) + np.diag(beta[:-1], 1) + np.diag(beta[:-1], -1))
-            value, weights = float(values[-1]), vectors[:, -1]
+            # The largest pair alone, in one thread: those of BLAS would wait for each other on a busy machine.
+            values, vectors = eigh_tridiagonal(np.array(alpha), np.array(beta[:-1]), select="i", select_range=(k, k))
+            value, weights = float(values[0]), vectors[:, 0]
             residual = beta[-1] * abs(float(weights[-1]))
             if last or residual <= tolerance * value:
                 break
