@@ -17,7 +17,7 @@ from cloth_core.body import Body
 from cloth_core.garment import Garment
 from cloth_core.intersections import crossing_pairs
 
-__all__ = ["Interpolation", "clear_of_body", "interpolation_between"]
+__all__ = ["Interpolation", "interpolation_between", "pushed_out_of_body"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -75,7 +75,7 @@ def interpolation_between(coarse: Garment, fine: Garment) -> Interpolation:
     return Interpolation(corners, weights)
 
 
-def clear_of_body(x: Floats, triangles: Ints, body: Body, step: float) -> Floats:
+def pushed_out_of_body(x: Floats, triangles: Ints, body: Body, step: float) -> Floats:
     """Positions [m], (n, 3), of which sides that pass through the body are moved out of it, by a step [m] at a time.
 
     A fine mesh cuts across the creases of the coarse one on which it starts, sometimes by more than the distance at

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.coarse_start import Interpolation, clear_of_body, interpolation_between
+from cloth_core.coarse_start import Interpolation, interpolation_between, pushed_out_of_body
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
@@ -284,7 +284,7 @@ class Simulation:
         model = Model(scene, closed=scene.garment.seams)
         if not coarse._seams.open_seams and scene.body is not None:
             sewn = model.gather(x, scene.garment.particle_areas)
-            x = clear_of_body(sewn, model.triangles, scene.body, scene.settings.contact_offset)[model.number]
+            x = pushed_out_of_body(sewn, model.triangles, scene.body, scene.settings.contact_offset)[model.number]
         if not coarse._seams.open_seams and count_crossings(scene, model, x) == 0:
             self.phase = DRAPING
             self._use(model, x, np.zeros_like(x))

@@ -7,7 +7,7 @@ from apparatus import body_of, crossings, pattern, rectangle, sheet
 
 from cloth_core.body import Body
 from cloth_core.calibration import Cloth, calibration
-from cloth_core.coarse_start import clear_of_body, interpolation_between
+from cloth_core.coarse_start import interpolation_between, pushed_out_of_body
 from cloth_core.drape_error import Drape, drape_error
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern
@@ -49,10 +49,10 @@ def test_cloth_that_cuts_across_an_edge_of_the_body_is_moved_out():
     x[:, 2] = np.where(over, 0.102 + along, 0.102)
     x[:, 1] = garment.rest[:, 0]
     assert crossings(x, garment.triangles, CUBE) > 0
-    moved = clear_of_body(x, garment.triangles, CUBE, 0.003)
+    moved = pushed_out_of_body(x, garment.triangles, CUBE, 0.003)
     assert crossings(moved, garment.triangles, CUBE) == 0
     assert np.linalg.norm(moved - x, axis=1).max() < 0.02
-    np.testing.assert_array_equal(clear_of_body(moved, garment.triangles, CUBE, 0.003), moved)
+    np.testing.assert_array_equal(pushed_out_of_body(moved, garment.triangles, CUBE, 0.003), moved)
 
 
 @pytest.mark.parametrize("garment", ["skirt", "tshirt"])

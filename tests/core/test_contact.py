@@ -201,7 +201,10 @@ def test_too_near_is_pushed_out_and_never_held_back(speed):
     for simulation in flight(garment, quad(), np.array([0.0, 0.0, speed]), 0.1, time_step=1e-4):
         z = simulation.positions[:, 2]
         np.testing.assert_allclose(simulation._v[:, 2], speed, atol=1e-6)  # it is not thrown
-        assert (z - previous >= (speed - 1e-6) * simulation.time_step).all()
+        # Springs between what was pushed farther and what less move particles against each other, but not all of them.
+        way = speed * simulation.time_step
+        assert (z - previous >= way * (1 - 1e-8)).all()
+        assert np.average(z - previous, weights=simulation.model.mass) >= way * (1 - 1e-12)
         previous = z
     if speed == 0.0:
         np.testing.assert_allclose(z, OFFSET, rtol=0.01)

@@ -112,7 +112,7 @@ def test_a_gripper_keeps_hold_while_seams_close():
     at = simulation.positions[held]
     assert simulation.grasp("left", held, Pose.of([0.0, 0.0, 0.0])) == len(held) > 5
     simulation.advance(1.5)
-    assert simulation.phase != "sewing"
+    assert simulation.phase in ("draping", "rest")  # sewn
     assert (simulation.model.inverse_mass == 0.0).sum() == len(held)
     # Where the seam has closed, its two sides met within its tolerance.
     assert simulation.positions[held] == pytest.approx(at, abs=simulation.scene.settings.seam_tolerance)

@@ -102,6 +102,7 @@ def test_poses_that_cannot_be_used_are_refused(clients):
                 client.move_gripper("gripper", **a) or c in (client.describe()["refused"] or "")
             )
         )
+        assert "gripper" in client.describe()["refused"]
 
 
 def test_a_body_that_comes_again_takes_the_cloth_along(clients):

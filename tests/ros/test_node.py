@@ -274,3 +274,4 @@ def test_a_huge_pattern_message_is_refused(start_node, client):
     start_node()
     client.pattern.publish(serialize_message(String(data=" " * 20_000_000)))
     client.wait(lambda: "bytes are more than" in refusal(client))
+    assert client.describe()["scene"] is None

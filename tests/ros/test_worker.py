@@ -268,6 +268,7 @@ def test_auto_start(bench):
     bench.worker.configure(DRAFT, WorkerSettings(auto_start=True))
     bench.give(handkerchief(), box=False)
     bench.wait_until_moved()
+    assert bench.worker.describe()["progress"]["simulated_time"] > 0.0
 
 
 def test_parameters_act_with_the_next_reset(bench):
