@@ -447,13 +447,14 @@ class Simulation:
         self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
         self._v_before = self._v.copy()
-        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         model.soften(softness)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
+        self._work = Workspace.of(0)  # so that the old one takes no room meanwhile
         self._stable = model.stable_step(self._x, self._air_drag())
+        self._work = Workspace.of(len(self._x))
         self._contacts = ContactState.none()
         self._flight_step = math.inf
         self._impulse_step = 1.0
