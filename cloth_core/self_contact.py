@@ -67,7 +67,9 @@ class SelfContact:
         height = np.full(count, np.inf)
         np.minimum.at(height, triangles.ravel(), np.repeat(2.0 * garment.areas / longest, 3))
         if sewing and garment.seams:
-            triangles = np.concatenate([triangles, _free_gaps(garment)])
+            gaps = _free_gaps(garment)
+            near = cls(np.concatenate([garment.triangles, gaps]), garment.merged_indices, height[number], offset)
+            triangles = np.concatenate([triangles, gaps[~near._touching(garment.start)[len(garment.triangles) :]]])
         return cls(triangles, identity, height, offset)
 
     def candidates(self, x: Floats, radius: float) -> tuple[Ints, Floats, Floats]:
@@ -97,6 +99,13 @@ class SelfContact:
             self._room, self._leaf_pairs[:found], self.offset, self.offset + 2.0 * radius,
         )  # fmt: skip
         return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
+
+    def _touching(self, x: Floats) -> NDArray[np.bool_]:
+        """Which triangles have a corner in a pair that is nearer than its offset at x (n, 3) [m], shape (m,)."""
+        rows, offset, distance = self.candidates(x, 0.0)
+        near = np.zeros(len(x) + 1, dtype=np.bool_)
+        near[rows[distance < offset, 1:5]] = True
+        return np.asarray(near[self.triangles].any(axis=1))
 
 
 def seam_gap_triangles(garment: Garment) -> Ints:
