@@ -26,7 +26,7 @@ Ints = NDArray[np.int32]
 
 # A panel that starts farther from the body than the first is brought as near as the second [m].
 _FAR, _NEAR = 0.09, 0.04
-# Panels nearer to each other than this at the start, and facing the same way, move as one; others keep as far apart [m].
+# Panels that are nearer to each other than this and face the same way move as one; others keep this distance [m].
 _TOGETHER = 0.003
 _FACING = 0.99
 # A shorter step than this ends the way [m]; as many steps are tried.

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.garment import Seam
-from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.garment import Seam, merged_numbers
+from cloth_core.intersections import crossing_edges, crossing_pairs, self_crossing_edges, self_crossing_pairs
 from cloth_core.model import Model
 from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
@@ -16,12 +16,16 @@ from cloth_core.sewing import seam_gaps
 __all__ = ["SeamClosing", "count_crossings"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
 
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _INTERVAL = 0.05
 _STALLED = 0.9
-# Limits between the distances at which points may merge that are tried at the end.
-_TRIALS = 4
+# Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
+# the distance at which points may merge down to where seams count as closed.
+_ROUNDS = 12
+_LIMITS = 4
 
 
 class SeamClosing:
@@ -57,17 +61,15 @@ class SeamClosing:
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
-        choices = [_merged_within(scene, x, settings.merge_distance)]
-        if (choices[0].number != scene.garment.merged_indices).any() and not late:
+        near = _within(scene, x, settings.merge_distance)
+        if not late and not all(points.all() for points in near):
             return None
-        if late:
-            limits = np.geomspace(settings.merge_distance, settings.seam_tolerance, _TRIALS)
-            choices += [_merged_within(scene, x, limit) for limit in limits]
         present = count_crossings(scene, model, x)
-        added = [count_crossings(scene, choice, x) - present for choice in choices]
-        if min(added) > 0 and not late:
-            return None
-        chosen = choices[int(np.argmin(added))]
+        chosen = _merged(scene, near)
+        if count_crossings(scene, chosen, x) > present:
+            if not late:
+                return None
+            chosen = _merged(scene, _without_crossing(scene, x, _points_that_count(scene, model, x), present))
         whole = {seam.name: len(seam.first) for seam in scene.garment.seams}
         closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
         self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
@@ -77,10 +79,8 @@ class SeamClosing:
 def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     """Sides that pass through body or cloth when unsewn positions x (n, 3) [m] are put into a model's numbering."""
     sewn = model.gather(x, scene.garment.particle_areas)
-    identity = None
-    if model.sewing:  # triangles that will share a point once sewn are neighbours already
-        identity = np.zeros(model.particle_count, dtype=np.int32)
-        identity[model.number] = scene.garment.merged_indices
+    # Points of a seam that have met are neighbours already.
+    identity = _points_that_count(scene, model, sewn) if model.sewing else None
     crossings = len(self_crossing_edges(sewn, model.triangles, identity))
     body = scene.body
     if body is not None:
@@ -88,8 +88,73 @@ def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     return crossings
 
 
-def _merged_within(scene: Scene, x: Floats, limit: float) -> Model:
-    """The model in which all seam points nearer to each other than limit [m] are merged."""
-    near = [np.linalg.norm(x[s.first] - x[s.second], axis=1) <= limit for s in scene.garment.seams]
-    parts = zip(scene.garment.seams, near, strict=True)
-    return Model(scene, closed=tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in parts if k.any()))
+def _within(scene: Scene, x: Floats, limit: float) -> list[Bools]:
+    """For each seam which of its points are no farther from each other than limit [m]."""
+    return [np.linalg.norm(x[s.first] - x[s.second], axis=1) <= limit for s in scene.garment.seams]
+
+
+def _parts(scene: Scene, which: list[Bools]) -> tuple[Seam, ...]:
+    seams = zip(scene.garment.seams, which, strict=True)
+    return tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in seams if k.any())
+
+
+def _merged(scene: Scene, which: list[Bools]) -> Model:
+    """The model in which these points of each seam are merged."""
+    return Model(scene, closed=_parts(scene, which))
+
+
+def _points_that_count(scene: Scene, model: Model, x: Floats) -> Ints:
+    """Number of the point that each particle of a model with open seams counts as at x (n, 3) [m], (n,)."""
+    if model.contact is None or model.contact.cloth is None:
+        return scene.garment.merged_indices
+    return model.contact.cloth.one_point(x)
+
+
+def _without_crossing(scene: Scene, x: Floats, number: Ints, present: int) -> list[Bools]:
+    """Points of each seam that can be merged without more crossings than the present ones; as many as are found.
+
+    Of all that are near enough those are left out, round by round, that belong to what crosses once they are merged:
+    both sides of the seam are moved there, by half of its gap. Points that count as one by now (equal `number`, (n,))
+    are left out only if that is not enough: their surroundings may cross as long as they are two.
+    """
+    seams = scene.garment.seams
+    met = [number[s.first] == number[s.second] for s in seams]
+    limits = np.geomspace(scene.settings.merge_distance, scene.settings.seam_tolerance, _LIMITS)
+    fewest, best = -1, [np.zeros(len(s.first), dtype=np.bool_) for s in seams]
+    for kept in (met, [np.zeros_like(points) for points in met]):
+        for limit in limits:
+            which = [near | keep for near, keep in zip(_within(scene, x, limit), kept, strict=True)]
+            for _ in range(_ROUNDS):
+                count, crossing = _crossing_points(scene, x, merged_numbers(len(x), _parts(scene, which)))
+                if fewest < 0 or count < fewest:
+                    fewest, best = count, [points.copy() for points in which]
+                if count <= present:
+                    return best
+                drops = [
+                    points & ~keep & (crossing[s.first] | crossing[s.second])
+                    for s, points, keep in zip(seams, which, kept, strict=True)
+                ]
+                if not any(drop.any() for drop in drops):
+                    break
+                which = [points & ~drop for points, drop in zip(which, drops, strict=True)]
+    return best
+
+
+def _crossing_points(scene: Scene, x: Floats, number: Ints) -> tuple[int, Bools]:
+    """How many sides cross when particles are merged to `number` (n,), and which of them (n,) are at what crosses."""
+    garment, count = scene.garment, int(number.max()) + 1
+    total = np.bincount(number, weights=garment.particle_areas, minlength=count)
+    sewn = np.stack(
+        [np.bincount(number, weights=garment.particle_areas * x[:, k], minlength=count) / total for k in range(3)], 1
+    )
+    triangles = np.asarray(number[garment.triangles], dtype=np.int32)
+    at = np.zeros(count, dtype=np.bool_)
+    edges, pairs = self_crossing_pairs(sewn, triangles)
+    crossings = len(np.unique(pairs[:, 0]))
+    at[edges[pairs[:, 0]]] = True
+    at[triangles[pairs[:, 1]]] = True
+    if scene.body is not None:
+        edges, pairs = crossing_pairs(sewn, triangles, scene.body.vertices, scene.body.triangles, scene.body.tree)
+        crossings += len(np.unique(pairs[:, 0]))
+        at[edges[pairs[:, 0]]] = True
+    return crossings, np.asarray(at[number])
