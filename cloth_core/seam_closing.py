@@ -11,9 +11,10 @@ from cloth_core.garment import Seam, merged_numbers
 from cloth_core.intersections import crossing_edges, crossing_pairs, self_crossing_edges, self_crossing_pairs
 from cloth_core.model import Model
 from cloth_core.scene import Scene
+from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.sewing import seam_gaps
 
-__all__ = ["SeamClosing", "count_crossings"]
+__all__ = ["SeamClosing", "count_crossings", "why_open"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -86,6 +87,45 @@ def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     if body is not None:
         crossings += len(crossing_edges(sewn, model.triangles, body.vertices, body.triangles, body.tree))
     return crossings
+
+
+def why_open(scene: Scene, open_seams: dict[str, float], x: Floats) -> list[str]:
+    """One line for each seam that stays open, with its gap and what lies in it; x (n, 3) [m] in the unsewn numbering.
+
+    Args:
+        scene: of the run.
+        open_seams: gap of each [m].
+        x: positions when the others merge.
+    """
+    lines = []
+    for seam in scene.garment.seams:
+        if seam.name not in open_seams:
+            continue
+        far = np.linalg.norm(x[seam.first] - x[seam.second], axis=1) > scene.settings.seam_tolerance
+        gaps = seam_gap_triangles((seam,))
+        gaps = gaps[np.isin(gaps, np.concatenate([seam.first[far], seam.second[far]])).any(axis=1)]
+        line = f"seam {seam.name}: still {1000 * open_seams[seam.name]:.1f} mm open, it stays open; "
+        lines.append(line + _what_lies_in(scene, gaps, x))
+    return lines
+
+
+def _what_lies_in(scene: Scene, gaps: Ints, x: Floats) -> str:
+    """What lies in a gap, and where, as a piece of the message."""
+    body = scene.body
+    if body is not None and len(gaps):
+        edges, pairs = crossing_pairs(body.vertices, body.triangles, x, gaps)
+        ends = body.vertices[edges[np.unique(pairs[:, 0])]].mean(axis=1)
+        _, pairs = crossing_pairs(x, gaps, body.vertices, body.triangles, body.tree)
+        crossed = body.vertices[body.triangles[np.unique(pairs[:, 1])]].mean(axis=1)
+        places = np.concatenate([ends, crossed])
+        if len(places):
+            nearest = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
+            place = ", ".join(f"{value:.2f}" for value in places[nearest])
+            return (
+                f"the body lies in it at ({place}) m: too tight there, or its two sides start on different sides of a "
+                "limb"
+            )
+    return "cloth lies in it, or what is sewn there pulls it apart"
 
 
 def _within(scene: Scene, x: Floats, limit: float) -> list[Bools]:

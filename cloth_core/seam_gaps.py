@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,7 @@ class ClosingSeams:
 
     def __init__(self, garment: Garment, triangles: Ints, distance: float) -> None:
         self.triangles = triangles
-        self.gaps = seam_gap_triangles(garment)
+        self.gaps = seam_gap_triangles(garment.seams)
         self._distance = distance
         self._first = np.concatenate([seam.first for seam in garment.seams])
         self._second = np.concatenate([seam.second for seam in garment.seams])
@@ -91,10 +93,10 @@ class ClosingSeams:
         self.neighbours = point_neighbours(self.number[self.triangles])
 
 
-def seam_gap_triangles(garment: Garment) -> Ints:
+def seam_gap_triangles(seams: Sequence[Seam]) -> Ints:
     """Triangles that fill the gap between the two edges of each open seam, in the unsewn numbering, shape (k, 3)."""
     parts = [np.zeros((0, 3), dtype=np.int32)]
-    for seam in garment.seams:
+    for seam in seams:
         a, b, c, d = seam.first[:-1], seam.first[1:], seam.second[1:], seam.second[:-1]
         parts += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
     triangles = np.concatenate(parts)
