@@ -33,9 +33,9 @@ _LONGEST_STEP = 1.0 / 480.0
 _NEXT_TO_NONE = 1e-3
 # How far particles may move between two broad phases of contact [m]: with the body alone, and with cloth too, where it
 # is also at most this share of the particle spacing, so that flat cloth has no candidates against itself.
-_BODY_SEARCH_RADIUS = 0.015
-_SEARCH_RADIUS = 0.006
-_SEARCH_RADIUS_SHARE = 0.275
+_BODY_SEARCH_RADIUS = 0.03
+_SEARCH_RADIUS = 0.008
+_SEARCH_RADIUS_SHARE = 0.4
 
 
 @dataclass(frozen=True)

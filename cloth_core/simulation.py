@@ -490,7 +490,7 @@ class Simulation:
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
         speed = np.sqrt((self._v**2).sum(axis=1))
-        reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, self.model.contact.radius)
+        reach = np.maximum(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
         if self._body_motion is not None:
