@@ -54,13 +54,17 @@ def brought_near(garment: Garment, body: Body) -> Garment:
         inwards = -np.mean([garment.panel_normals[k] for k in own], axis=0)
         inwards /= np.linalg.norm(inwards)
         others = [part for k, part in enumerate(parts) if k not in own]
+        nearest = distance[g]
         for _ in range(_STEPS):
-            room = min(parts[k].distance_to_body(body) for k in own) - _NEAR
-            room = min([room, *(parts[k].distance_to(other, room) - _TOGETHER for k in own for other in others)])
+            room = min([nearest - _NEAR, *(parts[k].distance_to(p, nearest) - _TOGETHER for k in own for p in others)])
             if room < _LEAST_STEP:
                 break
-            for k in own:
-                parts[k] = parts[k].moved(room * inwards)
+            moved = [parts[k].moved(room * inwards) for k in own]
+            before, nearest = nearest, min(part.distance_to_body(body) for part in moved)
+            if nearest >= before:  # it would go past
+                break
+            for k, part in zip(own, moved, strict=True):
+                parts[k] = part
     start = garment.start.copy()
     for k, part in enumerate(parts):
         start[garment.panel_of_particle == k] = part.x
