@@ -39,13 +39,18 @@ def brought_near(garment: Garment, body: Body) -> Garment:
 
     Each goes against its normal, the nearest to the body first, only as far as it meets nothing, and with the panels
     that it touches at the start. No step is longer than what is free around the panel: nothing is passed through, and
-    what was outside of another panel stays outside.
+    what was outside of another panel stays outside. A panel does not get behind one that it is sewn to and that faces
+    the same way either: a collar in front of a bodice stays there.
     """
-    sewn = {int(garment.panel_of_particle[side[0]]) for seam in garment.seams for side in (seam.first, seam.second)}
-    if not sewn:
+    sewn_to: dict[int, set[int]] = {}
+    for seam in garment.seams:
+        one, other = (int(garment.panel_of_particle[side[0]]) for side in (seam.first, seam.second))
+        sewn_to.setdefault(one, set()).add(other)
+        sewn_to.setdefault(other, set()).add(one)
+    if not sewn_to:
         return garment
     parts = [_Part.of(garment, k) for k in range(len(garment.panel_names))]
-    groups = [g for g in _groups(garment, parts) if all(k in sewn for k in g)]
+    groups = [g for g in _groups(garment, parts) if all(k in sewn_to for k in g)]
     distance = [min(parts[k].distance_to_body(body) for k in g) for g in groups]
     for g in np.argsort(distance, kind="stable"):
         if distance[g] <= _FAR:
@@ -54,9 +59,18 @@ def brought_near(garment: Garment, body: Body) -> Garment:
         inwards = -np.mean([garment.panel_normals[k] for k in own], axis=0)
         inwards /= np.linalg.norm(inwards)
         others = [part for k, part in enumerate(parts) if k not in own]
+        behind = [
+            (k, m)
+            for k in own
+            for m in sewn_to[k]
+            if m not in own
+            and garment.panel_normals[k] @ garment.panel_normals[m] > _FACING
+            and (parts[k].x.mean(axis=0) - parts[m].x.mean(axis=0)) @ -inwards >= 0.0
+        ]
         nearest = distance[g]
         for _ in range(_STEPS):
             room = min([nearest - _NEAR, *(parts[k].distance_to(p, nearest) - _TOGETHER for k in own for p in others)])
+            room = min([room, *((parts[k].x.mean(axis=0) - parts[m].x.mean(axis=0)) @ -inwards for k, m in behind)])
             if room < _LEAST_STEP:
                 break
             moved = [parts[k].moved(room * inwards) for k in own]

@@ -23,10 +23,14 @@ Bools = NDArray[np.bool_]
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _INTERVAL = 0.05
 _STALLED = 0.9
+# The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
+_FIRMER, _FIRMEST = 1.15, 8.0
 # Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
 # the distance at which points may merge down to where seams count as closed.
 _ROUNDS = 12
 _LIMITS = 4
+# Points of which other places are tried when they merge.
+_PLACES = 40
 
 
 class SeamClosing:
@@ -34,11 +38,14 @@ class SeamClosing:
 
     Attributes:
         open_seams: those that stay open, with their gaps [m]; filled when the others merge.
+        positions: in which what merges lies at one place [m], unsewn numbering, (n, 3); filled at the same time.
     """
 
     def __init__(self) -> None:
         self.open_seams: dict[str, float] = {}
+        self.positions = np.zeros((0, 3))
         self._widest_gap = math.inf
+        self._firmness = 1.0
         self._next_look = 0.0
 
     def merged(self, scene: Scene, model: Model, x: Floats, time: float, sewn_for: float) -> Model | None:
@@ -64,17 +71,27 @@ class SeamClosing:
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
         near = _within(scene, x, settings.merge_distance)
         if not late and not all(points.all() for points in near):
+            self._pull_harder(model)
             return None
         present = count_crossings(scene, model, x)
-        chosen = _merged(scene, near)
-        if count_crossings(scene, chosen, x) > present:
+        self.positions, crossings = _placed(scene, x, near, present)
+        if crossings > present:
             if not late:
                 return None
-            chosen = _merged(scene, _without_crossing(scene, x, _points_that_count(scene, model, x), present))
+            near = _without_crossing(scene, x, _points_that_count(scene, model, x), present)
+            self.positions, _ = _placed(scene, x, near, present)
+        chosen = Model(scene, closed=_parts(scene, near))
         whole = {seam.name: len(seam.first) for seam in scene.garment.seams}
         closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
         self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
         return chosen
+
+    def _pull_harder(self, model: Model) -> None:
+        """What no longer gets nearer is pulled with a little more force from one look to the next."""
+        if model.seam_pull is None or model.softness < 1.0 or self._firmness >= _FIRMEST:
+            return
+        self._firmness *= _FIRMER
+        model.seam_pull = model.seam_pull._replace(largest_force=_FIRMER * model.seam_pull.largest_force)
 
 
 def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
@@ -138,9 +155,30 @@ def _parts(scene: Scene, which: list[Bools]) -> tuple[Seam, ...]:
     return tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in seams if k.any())
 
 
-def _merged(scene: Scene, which: list[Bools]) -> Model:
-    """The model in which these points of each seam are merged."""
-    return Model(scene, closed=_parts(scene, which))
+def _placed(scene: Scene, x: Floats, which: list[Bools], present: int) -> tuple[Floats, int]:
+    """Positions [m], (n, 3), in which the points of each seam that merge lie at one place, and how many sides cross.
+
+    Normally that is their mean. Where it would bring more crossings than the present ones, as when cloth lies close
+    beside one of the points, those at what crosses are tried at the place of each of them instead.
+    """
+    number = merged_numbers(len(x), _parts(scene, which))
+    placed = _gathered(scene, x, number)[number]
+    count, crossing = _crossing_points(scene, placed, number)
+    tried: set[int] = set()
+    while count > present:
+        points, members = np.unique(number[crossing], return_counts=True)
+        left = [p for p in points[members > 1].tolist() if p not in tried]
+        if not left or len(tried) >= _PLACES:
+            break
+        tried.add(left[0])
+        own = np.flatnonzero(number == left[0])
+        for place in x[own]:
+            trial = placed.copy()
+            trial[own] = place
+            fewer, there = _crossing_points(scene, trial, number)
+            if fewer < count:
+                placed, count, crossing = trial, fewer, there
+    return placed, count
 
 
 def _points_that_count(scene: Scene, model: Model, x: Floats) -> Ints:
@@ -182,13 +220,9 @@ def _without_crossing(scene: Scene, x: Floats, number: Ints, present: int) -> li
 
 def _crossing_points(scene: Scene, x: Floats, number: Ints) -> tuple[int, Bools]:
     """How many sides cross when particles are merged to `number` (n,), and which of them (n,) are at what crosses."""
-    garment, count = scene.garment, int(number.max()) + 1
-    total = np.bincount(number, weights=garment.particle_areas, minlength=count)
-    sewn = np.stack(
-        [np.bincount(number, weights=garment.particle_areas * x[:, k], minlength=count) / total for k in range(3)], 1
-    )
-    triangles = np.asarray(number[garment.triangles], dtype=np.int32)
-    at = np.zeros(count, dtype=np.bool_)
+    sewn = _gathered(scene, x, number)
+    triangles = np.asarray(number[scene.garment.triangles], dtype=np.int32)
+    at = np.zeros(len(sewn), dtype=np.bool_)
     edges, pairs = self_crossing_pairs(sewn, triangles)
     crossings = len(np.unique(pairs[:, 0]))
     at[edges[pairs[:, 0]]] = True
@@ -198,3 +232,10 @@ def _crossing_points(scene: Scene, x: Floats, number: Ints) -> tuple[int, Bools]
         crossings += len(np.unique(pairs[:, 0]))
         at[edges[pairs[:, 0]]] = True
     return crossings, np.asarray(at[number])
+
+
+def _gathered(scene: Scene, x: Floats, number: Ints) -> Floats:
+    """Mean of x (n, 3) [m] over the particles that are merged to each number, weighted with their areas, (k, 3)."""
+    weights = scene.garment.particle_areas
+    total = np.bincount(number, weights=weights)
+    return np.stack([np.bincount(number, weights=weights * x[:, k]) / total for k in range(3)], axis=1)

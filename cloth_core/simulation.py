@@ -527,7 +527,7 @@ class Simulation:
             return
         self._warnings += why_open(self.scene, self._seams.open_seams, self.positions)
         self.phase = DRAPING
-        self._use(model, self.positions, np.asarray(self._v[self.model.number]))
+        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
 
     def _open_window(self) -> None:
         settings, gravity = self.scene.settings, self.scene.gravity
