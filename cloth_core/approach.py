@@ -40,7 +40,7 @@ def brought_near(garment: Garment, body: Body) -> Garment:
     Each goes against its normal, the nearest to the body first, only as far as it meets nothing, and with the panels
     that it touches at the start. No step is longer than what is free around the panel: nothing is passed through, and
     what was outside of another panel stays outside. A panel does not get behind one that it is sewn to and that faces
-    the same way either: a collar in front of a bodice stays there.
+    the same way either, and where they cover each other it stays as far in front of it: a collar before a bodice.
     """
     sewn_to: dict[int, set[int]] = {}
     for seam in garment.seams:
@@ -59,18 +59,11 @@ def brought_near(garment: Garment, body: Body) -> Garment:
         inwards = -np.mean([garment.panel_normals[k] for k in own], axis=0)
         inwards /= np.linalg.norm(inwards)
         others = [part for k, part in enumerate(parts) if k not in own]
-        behind = [
-            (k, m)
-            for k in own
-            for m in sewn_to[k]
-            if m not in own
-            and garment.panel_normals[k] @ garment.panel_normals[m] > _FACING
-            and (parts[k].x.mean(axis=0) - parts[m].x.mean(axis=0)) @ -inwards >= 0.0
-        ]
+        behind = _behind(garment, own, sewn_to, inwards)
         nearest = distance[g]
         for _ in range(_STEPS):
             room = min([nearest - _NEAR, *(parts[k].distance_to(p, nearest) - _TOGETHER for k in own for p in others)])
-            room = min([room, *((parts[k].x.mean(axis=0) - parts[m].x.mean(axis=0)) @ -inwards for k, m in behind)])
+            room = min([room, *(parts[k].height_above(parts[m], -inwards) - least for k, m, least in behind)])
             if room < _LEAST_STEP:
                 break
             moved = [parts[k].moved(room * inwards) for k in own]
@@ -85,6 +78,32 @@ def brought_near(garment: Garment, body: Body) -> Garment:
     if (start == garment.start).all() or _crosses_more(garment, start, body):
         return garment
     return replace(garment, start=start)
+
+
+def _behind(garment: Garment, own: list[int], sewn_to: dict[int, set[int]], inwards: Floats) -> list[_Limit]:
+    """How far panels must stay in front of those behind them to which they are sewn and that face the same way.
+
+    As far as at the start where they cover each other, else not at all.
+    """
+    limits = []
+    parts = [_Part.of(garment, k) for k in range(len(garment.panel_names))]
+    for k in own:
+        for m in sorted(sewn_to[k].difference(own)):
+            height = parts[k].height_above(parts[m], -inwards)
+            if height < 0.0 or garment.panel_normals[k] @ garment.panel_normals[m] < _FACING:
+                continue
+            flat = [x - np.outer(x @ inwards, inwards) for x in (parts[k].x, parts[m].x)]
+            low, high = np.maximum(*(f.min(axis=0) for f in flat)), np.minimum(*(f.max(axis=0) for f in flat))
+            limits.append(_Limit(k, m, height if (low <= high + _TOGETHER).all() else 0.0))
+    return limits
+
+
+class _Limit(NamedTuple):
+    """Least height [m] of a panel above one behind it."""
+
+    panel: int
+    other: int
+    height: float
 
 
 class _Part(NamedTuple):
@@ -106,6 +125,10 @@ class _Part(NamedTuple):
     def moved(self, way: Floats) -> _Part:
         x = self.x + way
         return _Part(x, self.triangles, build_tree(x, self.triangles))
+
+    def height_above(self, other: _Part, outwards: Floats) -> float:
+        """How far this panel's middle is in front of another's [m]."""
+        return float((self.x.mean(axis=0) - other.x.mean(axis=0)) @ outwards)
 
     def distance_to_body(self, body: Body) -> float:
         """Distance [m] of corners of the one from the surface of the other, whichever is less."""

@@ -67,6 +67,24 @@ def test_outer_panel_stays_outside_an_inner_one():
     assert front[:, 1].min() > -0.16  # and it went there
 
 
+@pytest.mark.parametrize(("lower_edge", "ahead"), [(1.15, 0.05), (1.21, 0.0)], ids=["covers", "above"])
+def test_collar_stays_in_front_of_its_bodice(lower_edge, ahead):
+    # The column is thin above the bodice: by itself the collar would go farther in. The bodice reaches up to 1.2 m.
+    step = trimesh.creation.box(extents=[0.3, 0.2, 1.1])
+    neck = trimesh.creation.box(extents=[0.1, 0.1, 0.4])
+    neck.apply_translation([0.0, 0.0, 0.8])
+    body = body_of(trimesh.util.concatenate([step, neck]), move=[0.0, 0.0, 0.55])
+    panels = {
+        "front": rectangle(0.5, 0.4, at=(0.0, 1.0, 0.4)),
+        "back": rectangle(0.5, 0.4, at=(0.0, 1.0, -0.15), turned=(0, 180, 0)),
+        "collar": rectangle(0.5, 0.1, at=(0.0, lower_edge + 0.05, 0.45)),
+    }
+    garment = started(pattern(panels, [*SIDES, (("collar", 0), ("front", 2), "right_wrong")]), body)
+    front, collar = place(garment, "front")[:, 1], place(garment, "collar")[:, 1]
+    np.testing.assert_allclose(front, -FACE - 0.04, atol=1e-3)
+    np.testing.assert_allclose(collar, front[0] - ahead, atol=2e-3)
+
+
 def test_panels_that_touch_go_together():
     panels = {
         "left": rectangle(0.25, 0.4, at=(0.325, 1.0, 0.4)),  # beside the column: by itself it would not stop there
