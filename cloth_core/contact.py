@@ -52,10 +52,15 @@ _NO_TRAVEL = 1e-9
 # A new search is due when any particle has used this share of its way.
 SPENT = 0.65
 # How far particles may move between two broad phases [m]: the fastest one, if nobody says otherwise, and one that does
-# not move at all. The share of it that must be left for a narrow phase to make do with the candidates that there are.
+# not move at all.
 _RADIUS = 0.006
 _LEAST_RADIUS = 0.002
-_ENOUGH_SHARE = 0.2
+# What must be left of it for a narrow phase to make do with the candidates that there are: this share of what a
+# particle wants to go, so that the bound slows nothing down; but no less than this much [m] and no more than this share
+# of the largest radius.
+_ENOUGH_OF_REACH = 0.1
+_ENOUGH = 0.001
+_ENOUGH_OF_RADIUS = 0.5
 
 
 class ContactState(NamedTuple):
@@ -148,7 +153,8 @@ class Contact:
         if not due:
             moved = np.sqrt(((x - self._broad_x) ** 2).sum(axis=1)) + self._way_of_body()
             left = self._radii - moved
-            due = bool((left < np.minimum(granted, _ENOUGH_SHARE * self._radii)).any())
+            enough = np.clip(_ENOUGH_OF_REACH * wanted, _ENOUGH, _ENOUGH_OF_RADIUS * self.radius)
+            due = bool((left < np.minimum(granted, enough)).any())
         if due:
             # In proportion to how fast each moves, so that all are used up at about the same time.
             least = min(_LEAST_RADIUS, self.radius)

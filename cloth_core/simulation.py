@@ -44,7 +44,7 @@ _TICK_STEPS = 32
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
-_STEPS_PER_SEARCH = 60
+_STEPS_PER_SEARCH = 30
 _LEAST_REACH = 0.001
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
@@ -447,13 +447,14 @@ class Simulation:
         self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
         self._v_before = self._v.copy()
-        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         model.soften(softness)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
+        self._work = Workspace.of(0)  # so that the old one takes no room meanwhile
         self._stable = model.stable_step(self._x, self._air_drag())
+        self._work = Workspace.of(len(self._x))
         self._contacts = ContactState.none()
         self._flight_step = math.inf
         self._impulse_step = 1.0
