@@ -459,7 +459,7 @@ def test_edge_that_goes_round_the_body_is_not_taken_for_twisted():
     given, flipped = start_distances(pattern.panels, pattern.stitches[4])
     assert given > flipped
     assert not any("twisted" in line for line in pattern.warnings)
-    with pytest.raises(PatternError, match="edge 3: sewing would join its two ends.*stitch 0 and 3 and 4"):
+    with pytest.raises(PatternError, match=r"edge 3: sewing would join its two ends.*stitch 0 and 3 and 4"):
         read(wrapped(wrong=True))
 
 
