@@ -99,25 +99,39 @@ def corner_pairs(panels: Mapping[str, Panel], stitch: Stitch) -> tuple[tuple[int
     return (first.start, second.start), (first.end, second.end)
 
 
+class _Corners:
+    """Sets of panel corners, given by panel and vertex, that sewing joins into one point."""
+
+    def __init__(self, panels: Mapping[str, Panel]) -> None:
+        self._parent = {
+            (name, vertex): (name, vertex) for name, p in panels.items() for vertex in range(len(p.vertices))
+        }
+
+    def root(self, corner: tuple[str, int]) -> tuple[str, int]:
+        """The corner that stands for a set."""
+        while self._parent[corner] != corner:
+            self._parent[corner] = self._parent[self._parent[corner]]
+            corner = self._parent[corner]
+        return corner
+
+    def join(self, one: tuple[str, int], other: tuple[str, int]) -> None:
+        """Make two corners, with all that they are joined to, one point."""
+        self._parent[self.root(one)] = self.root(other)
+
+
 def check_merging(panels: Mapping[str, Panel], stitches: Sequence[Stitch]) -> None:
     """PatternError if sewing would join the two ends of an edge into one point.
 
     An edge may become a ring, as the hem of a sleeve of one panel does: there a seam between two *other* edges of the
     panel joins its ends directly.
     """
-    parent = {(name, vertex): (name, vertex) for name, panel in panels.items() for vertex in range(len(panel.vertices))}
-
-    def root(corner: tuple[str, int]) -> tuple[str, int]:
-        while parent[corner] != corner:
-            parent[corner] = parent[parent[corner]]
-            corner = parent[corner]
-        return corner
-
+    corners = _Corners(panels)
+    root = corners.root
     closing: dict[tuple[str, frozenset[int]], list[Stitch]] = {}
     number = {side: i for i, stitch in enumerate(stitches) for side in (stitch.first, stitch.second)}
     for stitch in stitches:
         for here, there in corner_pairs(panels, stitch):
-            parent[root((stitch.first.panel, here))] = root((stitch.second.panel, there))
+            corners.join((stitch.first.panel, here), (stitch.second.panel, there))
             if stitch.first.panel == stitch.second.panel:
                 closing.setdefault((stitch.first.panel, frozenset((here, there))), []).append(stitch)
     for name, panel in panels.items():
@@ -148,12 +162,28 @@ def _world_ends(panels: Mapping[str, Panel], stitch: Stitch) -> tuple[FloatArray
     return first.to_world(first.vertices[[a, b]]), second.to_world(second.vertices[[c, d]])
 
 
-def _seems_twisted(panels: Mapping[str, Panel], stitch: Stitch) -> bool:
-    """The ends would start closer the other way round, clearly so if the distance between the panels is left out."""
+def _seems_twisted(panels: Mapping[str, Panel], stitches: Sequence[Stitch], i: int) -> bool:
+    """Whether stitch i probably is sewn the wrong way round.
+
+    If the other stitches join corners of its two edges already, that tells. Otherwise it seems so if the ends would
+    start closer the other way round, clearly so if the distance between the panels is left out. That alone is no sign:
+    an edge which has to go round the body before it meets its partner starts the other way round.
+    """
+    stitch = stitches[i]
+    corners = _Corners(panels)
+    for other in (*stitches[:i], *stitches[i + 1 :]):
+        for here, there in corner_pairs(panels, other):
+            corners.join((other.first.panel, here), (other.second.panel, there))
+    (a, c), (b, d) = (
+        (corners.root((stitch.first.panel, here)), corners.root((stitch.second.panel, there)))
+        for here, there in corner_pairs(panels, stitch)
+    )
+    if (a == c or b == d) != (a == d or b == c):
+        return a == d or b == c
     given, flipped = start_distances(panels, stitch)
     first, second = _world_ends(panels, stitch)
-    along, other = first[1] - first[0], second[1] - second[0]
-    return given > flipped and bool(np.linalg.norm(along - other) > _TWIST_RATIO * np.linalg.norm(along + other))
+    along, across = first[1] - first[0], second[1] - second[0]
+    return given > flipped and bool(np.linalg.norm(along - across) > _TWIST_RATIO * np.linalg.norm(along + across))
 
 
 def seam_warnings(panels: Mapping[str, Panel], stitches: Sequence[Stitch]) -> list[str]:
@@ -169,7 +199,7 @@ def seam_warnings(panels: Mapping[str, Panel], stitches: Sequence[Stitch]) -> li
         if long > _LENGTH_RATIO * short:
             lengths = f"{edges[0].length:.3g} m and {edges[1].length:.3g} m"
             warnings.append(f"stitch {i} ({sides}): lengths {lengths} differ by more than half; it gathers or is wrong")
-        if _seems_twisted(panels, stitch):
+        if _seems_twisted(panels, stitches, i):
             advice = (
                 "perhaps 'right_wrong' is missing"
                 if stitch.start_meets_end

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.approach import brought_near
 from cloth_core.body import Body
 from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
@@ -131,7 +132,7 @@ class Scene:
         apart = separate_panels(garment, layers, _PANEL_GAP)
         if body is not None and apart is not garment:
             apart = clear_of_body(apart, body, chosen.contact_offset)
-        garment = apart
+        garment = apart if body is None else brought_near(apart, body)
         return cls(
             garment=garment,
             fabric=fabric,

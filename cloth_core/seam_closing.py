@@ -7,21 +7,30 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.garment import Seam
-from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.garment import Seam, merged_numbers
+from cloth_core.intersections import crossing_edges, crossing_pairs, self_crossing_edges, self_crossing_pairs
 from cloth_core.model import Model
 from cloth_core.scene import Scene
+from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.sewing import seam_gaps
 
-__all__ = ["SeamClosing", "count_crossings"]
+__all__ = ["SeamClosing", "count_crossings", "why_open"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
 
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _INTERVAL = 0.05
 _STALLED = 0.9
-# Limits between the distances at which points may merge that are tried at the end.
-_TRIALS = 4
+# The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
+_FIRMER, _FIRMEST = 1.15, 8.0
+# Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
+# the distance at which points may merge down to where seams count as closed.
+_ROUNDS = 12
+_LIMITS = 4
+# Points of which other places are tried when they merge.
+_PLACES = 40
 
 
 class SeamClosing:
@@ -29,11 +38,14 @@ class SeamClosing:
 
     Attributes:
         open_seams: those that stay open, with their gaps [m]; filled when the others merge.
+        positions: in which what merges lies at one place [m], unsewn numbering, (n, 3); filled at the same time.
     """
 
     def __init__(self) -> None:
         self.open_seams: dict[str, float] = {}
+        self.positions = np.zeros((0, 3))
         self._widest_gap = math.inf
+        self._firmness = 1.0
         self._next_look = 0.0
 
     def merged(self, scene: Scene, model: Model, x: Floats, time: float, sewn_for: float) -> Model | None:
@@ -57,30 +69,36 @@ class SeamClosing:
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
-        choices = [_merged_within(scene, x, settings.merge_distance)]
-        if (choices[0].number != scene.garment.merged_indices).any() and not late:
+        near = _within(scene, x, settings.merge_distance)
+        if not late and not all(points.all() for points in near):
+            self._pull_harder(model)
             return None
-        if late:
-            limits = np.geomspace(settings.merge_distance, settings.seam_tolerance, _TRIALS)
-            choices += [_merged_within(scene, x, limit) for limit in limits]
         present = count_crossings(scene, model, x)
-        added = [count_crossings(scene, choice, x) - present for choice in choices]
-        if min(added) > 0 and not late:
-            return None
-        chosen = choices[int(np.argmin(added))]
+        self.positions, crossings = _placed(scene, x, near, present)
+        if crossings > present:
+            if not late:
+                return None
+            near = _without_crossing(scene, x, _points_that_count(scene, model, x), present)
+            self.positions, _ = _placed(scene, x, near, present)
+        chosen = Model(scene, closed=_parts(scene, near))
         whole = {seam.name: len(seam.first) for seam in scene.garment.seams}
         closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
         self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
         return chosen
 
+    def _pull_harder(self, model: Model) -> None:
+        """What no longer gets nearer is pulled with a little more force from one look to the next."""
+        if model.seam_pull is None or model.softness < 1.0 or self._firmness >= _FIRMEST:
+            return
+        self._firmness *= _FIRMER
+        model.seam_pull = model.seam_pull._replace(largest_force=_FIRMER * model.seam_pull.largest_force)
+
 
 def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     """Sides that pass through body or cloth when unsewn positions x (n, 3) [m] are put into a model's numbering."""
     sewn = model.gather(x, scene.garment.particle_areas)
-    identity = None
-    if model.sewing:  # triangles that will share a point once sewn are neighbours already
-        identity = np.zeros(model.particle_count, dtype=np.int32)
-        identity[model.number] = scene.garment.merged_indices
+    # Points of a seam that have met are neighbours already.
+    identity = _points_that_count(scene, model, sewn) if model.sewing else None
     crossings = len(self_crossing_edges(sewn, model.triangles, identity))
     body = scene.body
     if body is not None:
@@ -88,8 +106,136 @@ def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     return crossings
 
 
-def _merged_within(scene: Scene, x: Floats, limit: float) -> Model:
-    """The model in which all seam points nearer to each other than limit [m] are merged."""
-    near = [np.linalg.norm(x[s.first] - x[s.second], axis=1) <= limit for s in scene.garment.seams]
-    parts = zip(scene.garment.seams, near, strict=True)
-    return Model(scene, closed=tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in parts if k.any()))
+def why_open(scene: Scene, open_seams: dict[str, float], x: Floats) -> list[str]:
+    """One line for each seam that stays open, with its gap and what lies in it; x (n, 3) [m] in the unsewn numbering.
+
+    Args:
+        scene: of the run.
+        open_seams: gap of each [m].
+        x: positions when the others merge.
+    """
+    lines = []
+    for seam in scene.garment.seams:
+        if seam.name not in open_seams:
+            continue
+        far = np.linalg.norm(x[seam.first] - x[seam.second], axis=1) > scene.settings.seam_tolerance
+        gaps = seam_gap_triangles((seam,))
+        gaps = gaps[np.isin(gaps, np.concatenate([seam.first[far], seam.second[far]])).any(axis=1)]
+        line = f"seam {seam.name}: still {1000 * open_seams[seam.name]:.1f} mm open, it stays open; "
+        lines.append(line + _what_lies_in(scene, gaps, x))
+    return lines
+
+
+def _what_lies_in(scene: Scene, gaps: Ints, x: Floats) -> str:
+    """What lies in a gap, and where, as a piece of the message."""
+    body = scene.body
+    if body is not None and len(gaps):
+        edges, pairs = crossing_pairs(body.vertices, body.triangles, x, gaps)
+        ends = body.vertices[edges[np.unique(pairs[:, 0])]].mean(axis=1)
+        _, pairs = crossing_pairs(x, gaps, body.vertices, body.triangles, body.tree)
+        crossed = body.vertices[body.triangles[np.unique(pairs[:, 1])]].mean(axis=1)
+        places = np.concatenate([ends, crossed])
+        if len(places):
+            nearest = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
+            place = ", ".join(f"{value:.2f}" for value in places[nearest])
+            return (
+                f"the body lies in it at ({place}) m: too tight there, or its two sides start on different sides of a "
+                "limb"
+            )
+    return "cloth lies in it, or what is sewn there pulls it apart"
+
+
+def _within(scene: Scene, x: Floats, limit: float) -> list[Bools]:
+    """For each seam which of its points are no farther from each other than limit [m]."""
+    return [np.linalg.norm(x[s.first] - x[s.second], axis=1) <= limit for s in scene.garment.seams]
+
+
+def _parts(scene: Scene, which: list[Bools]) -> tuple[Seam, ...]:
+    seams = zip(scene.garment.seams, which, strict=True)
+    return tuple(Seam(s.name, s.first[k], s.second[k]) for s, k in seams if k.any())
+
+
+def _placed(scene: Scene, x: Floats, which: list[Bools], present: int) -> tuple[Floats, int]:
+    """Positions [m], (n, 3), in which the points of each seam that merge lie at one place, and how many sides cross.
+
+    Normally that is their mean. Where it would bring more crossings than the present ones, as when cloth lies close
+    beside one of the points, those at what crosses are tried at the place of each of them instead.
+    """
+    number = merged_numbers(len(x), _parts(scene, which))
+    placed = _gathered(scene, x, number)[number]
+    count, crossing = _crossing_points(scene, placed, number)
+    tried: set[int] = set()
+    while count > present:
+        points, members = np.unique(number[crossing], return_counts=True)
+        left = [p for p in points[members > 1].tolist() if p not in tried]
+        if not left or len(tried) >= _PLACES:
+            break
+        tried.add(left[0])
+        own = np.flatnonzero(number == left[0])
+        for place in x[own]:
+            trial = placed.copy()
+            trial[own] = place
+            fewer, there = _crossing_points(scene, trial, number)
+            if fewer < count:
+                placed, count, crossing = trial, fewer, there
+    return placed, count
+
+
+def _points_that_count(scene: Scene, model: Model, x: Floats) -> Ints:
+    """Number of the point that each particle of a model with open seams counts as at x (n, 3) [m], (n,)."""
+    if model.contact is None or model.contact.cloth is None:
+        return scene.garment.merged_indices
+    return model.contact.cloth.one_point(x)
+
+
+def _without_crossing(scene: Scene, x: Floats, number: Ints, present: int) -> list[Bools]:
+    """Points of each seam that can be merged without more crossings than the present ones; as many as are found.
+
+    Of all that are near enough those are left out, round by round, that belong to what crosses once they are merged:
+    both sides of the seam are moved there, by half of its gap. Points that count as one by now (equal `number`, (n,))
+    are left out only if that is not enough: their surroundings may cross as long as they are two.
+    """
+    seams = scene.garment.seams
+    met = [number[s.first] == number[s.second] for s in seams]
+    limits = np.geomspace(scene.settings.merge_distance, scene.settings.seam_tolerance, _LIMITS)
+    fewest, best = -1, [np.zeros(len(s.first), dtype=np.bool_) for s in seams]
+    for kept in (met, [np.zeros_like(points) for points in met]):
+        for limit in limits:
+            which = [near | keep for near, keep in zip(_within(scene, x, limit), kept, strict=True)]
+            for _ in range(_ROUNDS):
+                count, crossing = _crossing_points(scene, x, merged_numbers(len(x), _parts(scene, which)))
+                if fewest < 0 or count < fewest:
+                    fewest, best = count, [points.copy() for points in which]
+                if count <= present:
+                    return best
+                drops = [
+                    points & ~keep & (crossing[s.first] | crossing[s.second])
+                    for s, points, keep in zip(seams, which, kept, strict=True)
+                ]
+                if not any(drop.any() for drop in drops):
+                    break
+                which = [points & ~drop for points, drop in zip(which, drops, strict=True)]
+    return best
+
+
+def _crossing_points(scene: Scene, x: Floats, number: Ints) -> tuple[int, Bools]:
+    """How many sides cross when particles are merged to `number` (n,), and which of them (n,) are at what crosses."""
+    sewn = _gathered(scene, x, number)
+    triangles = np.asarray(number[scene.garment.triangles], dtype=np.int32)
+    at = np.zeros(len(sewn), dtype=np.bool_)
+    edges, pairs = self_crossing_pairs(sewn, triangles)
+    crossings = len(np.unique(pairs[:, 0]))
+    at[edges[pairs[:, 0]]] = True
+    at[triangles[pairs[:, 1]]] = True
+    if scene.body is not None:
+        edges, pairs = crossing_pairs(sewn, triangles, scene.body.vertices, scene.body.triangles, scene.body.tree)
+        crossings += len(np.unique(pairs[:, 0]))
+        at[edges[pairs[:, 0]]] = True
+    return crossings, np.asarray(at[number])
+
+
+def _gathered(scene: Scene, x: Floats, number: Ints) -> Floats:
+    """Mean of x (n, 3) [m] over the particles that are merged to each number, weighted with their areas, (k, 3)."""
+    weights = scene.garment.particle_areas
+    total = np.bincount(number, weights=weights)
+    return np.stack([np.bincount(number, weights=weights * x[:, k]) / total for k in range(3)], axis=1)

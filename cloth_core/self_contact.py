@@ -1,8 +1,10 @@
 """Cloth against cloth: the search for pairs, by the same tree of boxes as against the body (paper, step 6).
 
-Left out, by topology and nothing else, are pairs that have a corner in common, while sewing in the numbering in which
-everything is sewn: they cannot be apart. Pairs whose corners are neighbours are kept, at an offset that the rest shape
-leaves room for.
+Left out, by topology and nothing else, are pairs that have a corner in common: they cannot be apart. Pairs whose
+corners are neighbours are kept, at an offset that the rest shape leaves room for.
+
+While seams close, two points that are to be one count as one from where they first come nearer than a few offsets, so
+that a panel cannot get through the edge that it is to be sewn to.
 """
 
 from __future__ import annotations
@@ -14,19 +16,23 @@ from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
 from cloth_core.closest_points import outside_box, point_triangle, segment_segment
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
-from cloth_core.intersections import crossed_triangles, self_crossing_edges
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import Representatives, representatives
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 from cloth_core.pair_list import doubled, doubled_lengths, write_pair
+from cloth_core.seam_gaps import ClosingSeams, point_neighbours
 
-__all__ = ["SelfContact", "seam_gap_triangles", "self_overlapping_pairs"]
+__all__ = ["SelfContact", "self_overlapping_pairs"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Neighbours are held apart at this share of the lowest height of the triangles around them.
 _NEIGHBOUR_SHARE = 0.3
+# Points that are to be sewn together have met when they are nearer than this many offsets.
+_MET = 3.0
+# Gaps of seams that were crossed are looked at again after so many searches: the way may be free by then.
+_GAP_SEARCHES = 10
 # Pairs of triangles whose boxes overlap, in all and for each triangle: about a dozen in one layer, and as many for each
 # layer beside it. More than a heap of cloth has would take memory and time out of all proportion.
 _MOST_PAIRS, _PAIRS_PER_TRIANGLE = 100_000, 200
@@ -43,13 +49,18 @@ class SelfContact:
     """
 
     def __init__(self, triangles: Ints, identity: Ints, height: Floats, offset: float) -> None:
-        self.triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self.identity = np.ascontiguousarray(identity, dtype=np.int32)
         self.offset = offset
         self._room = _NEIGHBOUR_SHARE * height
-        self._representatives = representatives(self.triangles)
-        self._neighbour_start, self._neighbours = _neighbours(self.identity[self.triangles])
+        self._closing: ClosingSeams | None = None
+        self._searches = 0
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
+        self._use(np.ascontiguousarray(triangles, dtype=np.int32))
+        self._neighbours = point_neighbours(self.identity[self.triangles])
+
+    def _use(self, triangles: Ints) -> None:
+        self.triangles = triangles
+        self._representatives = representatives(triangles)
         self._tree: AabbTree | None = None
 
     @classmethod
@@ -60,15 +71,30 @@ class SelfContact:
         """
         count = int(number.max()) + 1
         identity = np.arange(count, dtype=np.int32)
-        if sewing:
-            identity[number] = garment.merged_indices
         corner = garment.rest[garment.triangles]
         longest = np.max([np.linalg.norm(corner[:, k] - corner[:, k - 1], axis=1) for k in range(3)], axis=0)
         height = np.full(count, np.inf)
         np.minimum.at(height, triangles.ravel(), np.repeat(2.0 * garment.areas / longest, 3))
+        contact = cls(triangles, identity, height, offset)
         if sewing and garment.seams:
-            triangles = np.concatenate([triangles, _free_gaps(garment)])
-        return cls(triangles, identity, height, offset)
+            contact._closing = ClosingSeams(garment, triangles, _MET * offset)
+            contact._let_gaps_in(garment.start)
+        return contact
+
+    def one_point(self, x: Floats) -> Ints:
+        """What each particle counts as at x (n, 3) [m], (n,): equal numbers are one point and cannot cross."""
+        return self.identity if self._closing is None else self._closing.number_at(x)
+
+    def _let_gaps_in(self, x: Floats) -> None:
+        """Take those gaps of the seams for cloth that have nothing to do with any at x (n, 3) [m]."""
+        closing = self._closing
+        if closing is None or len(self.triangles) == len(closing.triangles) + len(closing.gaps):
+            return
+        self._use(np.concatenate([closing.triangles, closing.gaps]))
+        rows, apart, distance = self._pairs_within(x, 0.0)
+        free = closing.free_gaps(x, rows[distance < apart])
+        if not free.all():
+            self._use(np.concatenate([closing.triangles, closing.gaps[free]]))
 
     def candidates(self, x: Floats, radius: float | Floats) -> tuple[Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
@@ -83,6 +109,14 @@ class SelfContact:
         Raises:
             SceneError: dozens of layers lie at the same place.
         """
+        if self._closing is not None:
+            self._closing.look(x)
+            self._searches += 1
+            if self._searches % _GAP_SEARCHES == 0:
+                self._let_gaps_in(x)
+        return self._pairs_within(x, radius)
+
+    def _pairs_within(self, x: Floats, radius: float | Floats) -> tuple[Ints, Floats, Floats]:
         if self._tree is None:
             self._tree = build_tree(x, self.triangles)
         refit_tree(self._tree, x, self.triangles, 0.5 * self.offset + radius)
@@ -96,46 +130,17 @@ class SelfContact:
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
+        leaf_pairs = self._leaf_pairs[:found]
+        number, neighbours = self.identity, self._neighbours
+        if self._closing is not None:
+            number, neighbours = self._closing.number, self._closing.neighbours
+            # Gaps keep cloth out, not each other.
+            leaf_pairs = leaf_pairs[(leaf_pairs < len(self._closing.triangles)).any(axis=1)]
         radii = np.ascontiguousarray(np.broadcast_to(radius, len(x)), dtype=np.float64)
         rows, lengths = _candidates(
-            x, self.triangles, self._representatives, self.identity, self._neighbour_start, self._neighbours,
-            self._room, self._leaf_pairs[:found], self.offset, radii,
+            x, self.triangles, self._representatives, number, *neighbours, self._room, leaf_pairs, self.offset, radii,
         )  # fmt: skip
         return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
-
-
-def seam_gap_triangles(garment: Garment) -> Ints:
-    """Triangles that fill the gap between the two edges of each open seam, in the unsewn numbering, shape (k, 3)."""
-    parts = [np.zeros((0, 3), dtype=np.int32)]
-    for seam in garment.seams:
-        a, b, c, d = seam.first[:-1], seam.first[1:], seam.second[1:], seam.second[:-1]
-        parts += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
-    triangles = np.concatenate(parts)
-    p, q, r = triangles.T
-    return np.asarray(triangles[(p != q) & (q != r) & (r != p)], dtype=np.int32)
-
-
-def _free_gaps(garment: Garment) -> Ints:
-    """Those gap triangles that cross nothing at the start: what is crossed cannot be kept apart."""
-    gaps = seam_gap_triangles(garment)
-    everything = np.concatenate([garment.triangles, gaps])
-    x, identity = garment.start, garment.merged_indices
-    crossed = crossed_triangles(x, everything, identity)[len(garment.triangles) :]
-    crossing = self_crossing_edges(x, everything, identity)
-    ends = crossing[:, 0].astype(np.int64) * len(x) + crossing[:, 1]
-    for k in range(3):
-        side = np.sort(gaps[:, [k, (k + 1) % 3]], axis=1)
-        crossed |= np.isin(side[:, 0].astype(np.int64) * len(x) + side[:, 1], ends)
-    return gaps[~crossed]
-
-
-def _neighbours(triangles: Ints) -> tuple[Ints, Ints]:
-    """Neighbours of each point as a compressed list: start (k + 1,) and sorted neighbours."""
-    a, b, c = triangles.T.astype(np.int64)
-    count = int(triangles.max()) + 1
-    pairs = np.unique(np.concatenate([a, b, b, c, c, a]) * count + np.concatenate([b, a, c, b, a, c]))
-    start = np.searchsorted(pairs // count, np.arange(count + 1)).astype(np.int32)
-    return start, (pairs % count).astype(np.int32)
 
 
 @kernel

@@ -23,7 +23,7 @@ from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
 from cloth_core.rest import RestWatch, slowest_swing
 from cloth_core.scene import Scene
-from cloth_core.seam_closing import SeamClosing, count_crossings
+from cloth_core.seam_closing import SeamClosing, count_crossings, why_open
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
@@ -526,10 +526,9 @@ class Simulation:
         model = self._seams.merged(self.scene, self.model, self.positions, self.time, self.time - self._sewing_began)
         if model is None:
             return
-        for name, gap in self._seams.open_seams.items():
-            self._warnings.append(f"seam {name}: still {1000 * gap:.1f} mm open after {self.time:.2g} s; it stays open")
+        self._warnings += why_open(self.scene, self._seams.open_seams, self.positions)
         self.phase = DRAPING
-        self._use(model, self.positions, np.asarray(self._v[self.model.number]))
+        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
 
     def _open_window(self) -> None:
         settings, gravity = self.scene.settings, self.scene.gravity
@@ -648,7 +647,7 @@ class Simulation:
             max_shear_strain=float(shear.max(initial=0.0)),
             strain_limit=scene.fabric.strain_limit,
             max_seam_gap=max(gaps.values(), default=0.0),
-            open_seams=self._seams.open_seams,
+            open_seams={name: gaps[name] for name in self._seams.open_seams},
             body_intersections=crossings,
             self_intersections=len(self_crossing_edges(x, model.triangles)),
             max_penetration=penetration,

@@ -45,6 +45,7 @@ CASES = {
     "one edge through the cloth": ({"self_intersections": 1}, STILL, False, True),
     "300 edges through the cloth": ({"self_intersections": 300}, STILL, False, True),
     "301 edges through the cloth": ({"self_intersections": 301}, STILL, False, False),
+    "a seam that is open": ({"open_seams": {"panel 'a', edge 0 - panel 'b', edge 2": 0.0123}}, STILL, False, True),
     "1.4 % moving": ({}, moving(0.014), True, True),
     "1.5 % moving": ({}, moving(0.015), False, False),
     "all moving by 0.3 mm": ({}, moving(0.0), True, True),
@@ -69,6 +70,12 @@ def test_our_limits_stand_beside_the_published_ones():
     criteria = judge(good_report(), STILL)["criteria"]
     assert (criteria["body_intersections"]["limit"], criteria["body_intersections"]["garmentcode_limit"]) == (0, 35)
     assert (criteria["self_intersections"]["limit"], criteria["self_intersections"]["garmentcode_limit"]) == (0, 300)
+
+
+def test_open_seams_are_named_with_their_gaps():
+    verdict = judge(replace(good_report(), open_seams={"side": 0.0123, "shoulder": 0.2}), STILL)
+    assert verdict["failed"][0].startswith("seams still open: side (12.3 mm), shoulder (200.0 mm)")
+    assert verdict["criteria"]["open_seams"]["value"] == 2
 
 
 def test_crash_fails_whatever_else_is_good():

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from cloth_core.curves import CircularArc, CubicBezier, Line, QuadraticBezier
 from cloth_core.errors import PatternError
 from cloth_core.pattern import Pattern, builtin_patterns
+from cloth_core.pattern_checks import start_distances
 
 
 def read(data) -> Pattern:
@@ -413,6 +414,53 @@ def test_twisted_seam_is_warned_about():
 
     stitches[0].append("right_wrong")
     assert read(data).warnings == ()
+
+
+def wrapped(*, wrong: bool = False) -> dict:
+    """A skirt whose front goes 2 cm round to the back, under a bodice: the narrow edge there runs the other way."""
+
+    def box(width: float, height: float, x: float, y: float, z: float, top: list[float], bottom: list[float]) -> dict:
+        corners = [[c, 0.0] for c in (0.0, *bottom, width)] + [[c, height] for c in (width, *reversed(top), 0.0)]
+        edges = [{"endpoints": [k, (k + 1) % len(corners)]} for k in range(len(corners))]
+        return {"translation": [x, y, z], "rotation": [0, 0, 0], "vertices": corners, "edges": edges}
+
+    def turned(panel: dict) -> dict:
+        """The same seen from behind: the loop the other way round."""
+        edges = [{"endpoints": e["endpoints"][::-1]} for e in reversed(panel["edges"])]
+        return panel | {"edges": edges}
+
+    panels = {
+        "bodice_front": box(40, 40, -20, 100, 30, [], []),
+        "bodice_back": turned(box(40, 40, -20, 100, -25, [], [38])),
+        "skirt_front": box(42, 60, -20, 30, 30, [40], []),
+        "skirt_back": turned(box(38, 60, -20, 30, -25, [], [])),
+    }
+    # Loops of the backs are reversed: edge k of n becomes edge n - 1 - k.
+    stitches: list[list] = [
+        [{"panel": "bodice_front", "edge": 1}, {"panel": "bodice_back", "edge": 2}],
+        [{"panel": "bodice_front", "edge": 3}, {"panel": "bodice_back", "edge": 0}],
+        [{"panel": "bodice_front", "edge": 0}, {"panel": "skirt_front", "edge": 3}],
+        [{"panel": "bodice_back", "edge": 4}, {"panel": "skirt_back", "edge": 1}],
+        [{"panel": "bodice_back", "edge": 3}, {"panel": "skirt_front", "edge": 2}],
+        [{"panel": "skirt_front", "edge": 4}, {"panel": "skirt_back", "edge": 0}],
+    ]
+    if wrong:
+        stitches[4].append("right_wrong")
+    return {
+        "pattern": {"panels": panels, "stitches": stitches},
+        "properties": {"units_in_meter": 100, "curvature_coords": "relative", "normalize_panel_translation": False,
+                       "normalized_edge_loops": True},
+    }  # fmt: skip
+
+
+def test_edge_that_goes_round_the_body_is_not_taken_for_twisted():
+    # By the distances at the start alone it would be: the other stitches show where its ends belong.
+    pattern = read(wrapped())
+    given, flipped = start_distances(pattern.panels, pattern.stitches[4])
+    assert given > flipped
+    assert not any("twisted" in line for line in pattern.warnings)
+    with pytest.raises(PatternError, match=r"edge 3: sewing would join its two ends.*stitch 0 and 3 and 4"):
+        read(wrapped(wrong=True))
 
 
 # ---- loading

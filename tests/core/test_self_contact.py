@@ -3,6 +3,7 @@
 Against all pairs with textbook formulas.
 """
 
+from itertools import combinations
 from typing import NamedTuple
 
 import naive_geometry
@@ -17,6 +18,7 @@ from cloth_core.model import Model
 from cloth_core.near_planes import NEAR
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 from cloth_core.scene import Scene
+from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.self_contact import SelfContact
 
 OFFSET = 0.001
@@ -145,12 +147,62 @@ def test_gaps_of_open_seams_count_as_cloth_while_they_are_sewn():
         middle = gaps[wall].mean(axis=1)
         np.testing.assert_allclose(middle[:, 2].mean(), 0.5, atol=1e-9)
     assert area.sum() == pytest.approx(2 * 0.06 * 0.15)
-    # And pairs with them are found by the same rule.
-    sewn = garment.merged_indices
+    # And pairs of cloth with them are found by the same rule, while nothing has met; gaps are not held apart.
     rows, _, _ = model.contact.cloth.candidates(garment.start, 10.0)
-    expected = all_pairs(garment.start, with_gaps, sewn)
+    expected = all_pairs(garment.start, with_gaps, np.arange(garment.particle_count))
+    of_cloth = {tuple(side) for t in model.triangles.tolist() for side in combinations(sorted(t), 2)}
+    with_cloth = [not of_cloth.isdisjoint([(p, q), (a, b)]) for p, q, a, b in expected.sides.tolist()]
     assert vertex_key(rows[rows[:, 0] == CLOTH_VERTEX, 1:5]) == vertex_key(expected.vertices)
-    assert side_key(rows[rows[:, 0] == CLOTH_SIDE, 1:5]) == side_key(expected.sides)
+    assert side_key(rows[rows[:, 0] == CLOTH_SIDE, 1:5]) == side_key(expected.sides[with_cloth])
+
+
+def test_points_of_a_seam_count_as_one_once_they_have_met():
+    garment = Garment.from_pattern(pattern(TUBE, SIDES), 0.05)
+    model = Model(Scene(garment=garment, fabric=plain_fabric()), sewing=True)
+    assert model.contact is not None
+    search = model.contact.cloth
+    assert search is not None
+    seam = garment.seams[0]
+    x = garment.start.copy()
+    for k, gap in enumerate((0.5 * OFFSET, 2.5 * OFFSET, 4.0 * OFFSET)):
+        x[seam.second[k]] = x[seam.first[k]] + [0.0, gap, 0.0]
+    np.testing.assert_array_equal(search.one_point(garment.start), np.arange(len(x)))
+    rows, _, _ = search.candidates(x, 10.0)
+    number = search.one_point(x)
+    one = number[seam.first] == number[seam.second]
+    np.testing.assert_array_equal(one[:3], [True, True, False])
+    assert not one[3:].any()
+    # Only what has met is left out, and it stays so when the points go apart again.
+    for places in (x, garment.start):
+        rows, _, _ = search.candidates(places, 10.0)
+        found = vertex_key(rows[rows[:, 0] == CLOTH_VERTEX, 1:5])
+        merged = np.arange(len(x))
+        merged[seam.second[:2]] = seam.first[:2]
+        cloth = all_pairs(places, model.triangles, merged)
+        expected = vertex_key(cloth.vertices)
+        assert {row for row in found if set(row[1:]) in [set(t) for t in model.triangles.tolist()]} == expected
+
+
+def test_gaps_that_cloth_crosses_wait_until_it_is_gone():
+    # A third panel stands across the left side of the tube, then is taken away.
+    wall = rectangle(0.1, 0.4, at=(-0.1, 0.5, 0.0))
+    garment = Garment.from_pattern(pattern(TUBE | {"wall": wall}, SIDES), 0.05)
+    model = Model(Scene(garment=garment, fabric=plain_fabric()), sewing=True)
+    assert model.contact is not None
+    search = model.contact.cloth
+    assert search is not None
+    cloth, gaps = len(model.triangles), len(seam_gap_triangles(garment.seams))
+    kept = search.triangles[cloth:]
+    assert len(kept) == gaps // 2
+    assert (garment.start[kept][:, :, 0] > 0.0).all()
+    x = garment.start.copy()
+    for _ in range(30):
+        search.candidates(x, 0.01)
+    assert len(search.triangles) == cloth + gaps // 2
+    x[garment.panel_of_particle == 2] -= [1.0, 0.0, 0.0]
+    for _ in range(30):
+        search.candidates(x, 0.01)
+    assert len(search.triangles) == cloth + gaps
 
 
 def test_offset_is_less_only_where_parts_are_neighbours():
