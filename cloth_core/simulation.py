@@ -16,6 +16,8 @@ from cloth_core.coarse_start import Interpolation, interpolation_between, pushed
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
+from cloth_core.implicit_matrix import build_matrix
+from cloth_core.implicit_step import ImplicitState, implicit_steps
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
@@ -41,6 +43,11 @@ OnTick = Callable[["Simulation"], "bool | None"]
 SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
 
 _TICK_STEPS = 32
+# The same for implicit steps, and their length where none is asked for [s].
+_IMPLICIT_TICK_STEPS = 1
+_IMPLICIT_STEP = 1.0 / 120.0
+# What is small enough in their solution, as a share of the particle spacing.
+_IMPLICIT_TOLERANCE = 1e-3
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
@@ -134,6 +141,7 @@ class Simulation:
         self._speed = 0.0
         self.grasps = Grasps()
         self._body_motion: BodyMotion | None = None
+        self._tick_steps = _TICK_STEPS if scene.settings.integrator == "symplectic" else _IMPLICIT_TICK_STEPS
         garment = scene.garment
         sewing = bool(scene_without(scene).garment.seams)
         self._use(Model(scene, sewing=sewing), garment.start, np.zeros_like(garment.start))
@@ -186,7 +194,7 @@ class Simulation:
         Raises:
             SimulationError: the state would no longer be finite; the last good one is kept.
         """
-        self._run(_TICK_STEPS)
+        self._run(self._tick_steps)
 
     def advance(self, duration: float, on_tick: OnTick | None = None) -> None:
         """Simulate `duration` [s] of physical time; on_tick may return True to stop.
@@ -206,7 +214,7 @@ class Simulation:
                 self.time = end
                 return
             left = math.ceil((end - self.time) / self._dt - 1e-9)
-            self._run(min(_TICK_STEPS, left), last_time=end)
+            self._run(min(self._tick_steps, left), last_time=end)
             if on_tick is not None and on_tick(self):
                 return
 
@@ -385,10 +393,7 @@ class Simulation:
             if self.grasps:
                 self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * step)
             openness = self._openness()
-            did = run_steps(
-                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
-                steps, openness, 1.0 / settings.closing_time,
-            )  # fmt: skip
+            did = self._steps(step, steps, openness)
             done += did
             self.time += did * step
             self.grasps.advance(did / steps)
@@ -418,6 +423,14 @@ class Simulation:
         self._wall += wall
         if wall > 0.0:
             self._speed += 0.1 * ((self.time - before) / wall - self._speed)
+
+    def _steps(self, step: float, count: int, openness: float) -> int:
+        """Up to `count` steps of that length [s] by the scene's integrator; how many were done."""
+        arguments = (
+            self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
+            count, openness, 1.0 / self.scene.settings.closing_time,
+        )  # fmt: skip
+        return run_steps(*arguments) if self._implicit is None else implicit_steps(*arguments, self._implicit)
 
     def _openness(self) -> float:
         """Share of its start length to which a seam's pull lets it close by now."""
@@ -449,6 +462,10 @@ class Simulation:
         self._v_before = self._v.copy()
         self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
+        self._implicit: ImplicitState | None = None
+        if self.scene.settings.integrator == "implicit":
+            matrix = build_matrix(len(self._x), model.springs, model.bending, model.seam_pairs)
+            self._implicit = ImplicitState.of(matrix, _IMPLICIT_TOLERANCE * garment.spacing)
         model.soften(softness)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
@@ -477,7 +494,10 @@ class Simulation:
         self._terms = self.model.force_terms(drag)
         longest = self.model.longest_step(self._stable)
         wanted = self.scene.settings.time_step
-        if wanted is None:
+        if self._implicit is not None:
+            self._implicit = self._implicit.with_stiffness(self.model.spring_stiffness)
+            self._dt = _IMPLICIT_STEP if wanted is None else wanted
+        elif wanted is None:
             self._dt = longest
         else:
             self._dt = wanted / math.ceil(wanted / longest - 1e-9)
@@ -565,14 +585,14 @@ class Simulation:
         """
         before = self._v_before
         slower = ((self._v - before) * self._v).sum(axis=1) < 0.0
-        self._v[slower] *= math.exp(-_BRAKING * self._dt * _TICK_STEPS)
+        self._v[slower] *= math.exp(-_BRAKING * self._dt * self._tick_steps)
         # What turns round, or trembles because layers push it to and fro, stops.
         self._v[(before * self._v).sum(axis=1) < 0.0] = 0.0
         self._v_before = self._v.copy()
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""
-        growth = (1.0 / _SOFTNESS) ** (self._dt * _TICK_STEPS / _STIFFENING_TIME)
+        growth = (1.0 / _SOFTNESS) ** (self._dt * self._tick_steps / _STIFFENING_TIME)
         self.model.soften(self.model.softness * growth)
         self._refresh_time_step()
         self._open_window()

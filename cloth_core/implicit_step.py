@@ -1,0 +1,205 @@
+"""Implicit time steps: as long as the motion allows, however stiff the cloth is.
+
+Where nothing touches, the second-order backward difference (BDF2; Choi and Ko 2002 for cloth),
+
+    x1 = (4 x - x-)/3 + h v1,    v1 = (4 v - v-)/3 + h a(x1, v1),    h = 2 dt / 3,
+
+else, and in the first step, implicit Euler (Baraff and Witkin 1998): x1 = x + dt v1, v1 = v + dt a(x1, v1). Both damp what
+is faster than the step and are stable at any step. Newton's method solves for v1, with the matrix at the place where
+the particles would be without forces: at the place where they are (Baraff and Witkin's choice), stiff cloth that turns
+is held back (measured in docs/integrators.md). Contact and strain limit act after the solution as they do after a
+symplectic step: nothing can cross here either.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
+from cloth_core.implicit_matrix import ImplicitMatrix, assemble
+from cloth_core.kernel import kernel
+from cloth_core.sparse_cholesky import factorise, solve
+from cloth_core.step import ForceTerms, Workspace, total_force
+from cloth_core.strain_limit import hold_strain, repeat_strain_impulses, watch_strain
+
+__all__ = ["ImplicitState", "implicit_steps"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# Newton's iterations of a step. A step that has not converged by then is done in halves, quarters, ... down to the
+# smallest part.
+_ITERATIONS = 6
+_SMALLEST_PART = 256
+
+
+class ImplicitState(NamedTuple):
+    """What implicit steps remember and work on.
+
+    Attributes:
+        matrix: of the model.
+        tolerance: movement [m] in Newton's last iteration that is small enough, (1,).
+        before_x, before_v: state a step ago, (n, 3); last_x, last_v: what the last step left, (n, 3).
+        last_step: its length [s], 0 where there is none to go on from, (1,).
+        trial_x, trial_v, base_x, base_v: scratch, (n, 3).
+        unknowns: scratch, (3 n,).
+        solved: number of linear systems solved so far, (1,).
+    """
+
+    matrix: ImplicitMatrix
+    tolerance: Floats
+    before_x: Floats
+    before_v: Floats
+    last_x: Floats
+    last_v: Floats
+    last_step: Floats
+    trial_x: Floats
+    trial_v: Floats
+    base_x: Floats
+    base_v: Floats
+    unknowns: Floats
+    solved: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, matrix: ImplicitMatrix, tolerance: float) -> ImplicitState:
+        """Nothing remembered yet; tolerance [m]."""
+        n = len(matrix.bend_own)
+        room = [np.zeros((n, 3)) for _ in range(8)]
+        return cls(
+            matrix, np.array([tolerance]), *room[:4], np.zeros(1), *room[4:], np.zeros(3 * n), np.zeros(1, dtype=np.int64)
+        )
+
+    def with_stiffness(self, stiffness: Floats) -> ImplicitState:
+        """The same with other stiffnesses of the springs (s,) [N/m]."""
+        return self._replace(matrix=self.matrix._replace(stiffness=stiffness))
+
+
+@kernel
+def implicit_steps(
+    x: Floats,
+    v: Floats,
+    work: Workspace,
+    moved: Floats,
+    terms: ForceTerms,
+    contact: ContactSettings,
+    contacts: ContactState,
+    dt: float,
+    count: int,
+    openness: float,
+    openness_rate: float,
+    state: ImplicitState,
+) -> int:
+    """Up to `count` steps of dt [s], in place; the number done, fewer when contacts must be searched anew.
+
+    As `cloth_core.step.run_steps`. Where Newton's method finds nothing, x becomes NaN.
+    """
+    for step in range(count):
+        openness = max(openness - openness_rate * dt, 0.0)
+        watch_strain(x, terms.spring_pairs, terms.strain_limit)
+        limited = terms.strain_limit.watched_count[0] > 0
+        free = not (contact.active or limited)
+        _advance(x, v, work, terms, dt, openness, free, state)
+        if limited:
+            repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        if contact.active:
+            spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
+        if limited:
+            hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
+        if contact.active and (keep_within_travel(x, v, contacts, moved) or spent):
+            return step + 1
+    return count
+
+
+@kernel
+def _advance(
+    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, openness: float, free: bool,
+    state: ImplicitState,
+) -> None:  # fmt: skip
+    """One step of dt, in parts if need be; free: whether nothing but the force terms acts."""
+    parts, done = 1, 0
+    while done < parts:
+        second_order = free and parts == 1 and state.last_step[0] == dt and _is_as_left(x, v, terms, state)
+        if _step(x, v, work, terms, dt / parts, openness, second_order, state):
+            done += 1
+            state.last_step[0] = dt if free and parts == 1 else 0.0
+        elif parts < _SMALLEST_PART:
+            parts, done = 2 * parts, 2 * done
+        else:
+            x[:] = np.nan
+            return
+
+
+@kernel
+def _is_as_left(x: Floats, v: Floats, terms: ForceTerms, state: ImplicitState) -> bool:
+    """Whether nothing from outside has changed what is free to move since the last step."""
+    for i in range(x.shape[0]):
+        if terms.inverse_mass[i] > 0.0:
+            for axis in range(3):
+                if x[i, axis] != state.last_x[i, axis] or v[i, axis] != state.last_v[i, axis]:
+                    return False
+    return True
+
+
+@kernel
+def _step(
+    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, openness: float, second_order: bool,
+    state: ImplicitState,
+) -> bool:  # fmt: skip
+    """One whole step, in place; False, and nothing changed, where Newton's method does not converge."""
+    base_x, base_v, trial_x, trial_v = state.base_x, state.base_v, state.trial_x, state.trial_v
+    h = 2.0 / 3.0 * dt if second_order else dt
+    for i in range(x.shape[0]):
+        for axis in range(3):
+            p, u = x[i, axis], v[i, axis]
+            base_x[i, axis], base_v[i, axis] = p, u
+            if terms.inverse_mass[i] == 0.0:  # it goes where it is taken
+                base_x[i, axis] = p + (dt - h) * u
+            elif second_order:
+                base_x[i, axis] = (4.0 * p - state.before_x[i, axis]) / 3.0
+                base_v[i, axis] = (4.0 * u - state.before_v[i, axis]) / 3.0
+            trial_v[i, axis] = u
+            trial_x[i, axis] = base_x[i, axis] + h * u
+    for _ in range(_ITERATIONS):
+        moved = _newton(work, terms, h, openness, state)
+        if not moved < np.inf:
+            return False
+        if moved <= state.tolerance[0]:
+            state.before_x[:], state.before_v[:] = x, v
+            x[:], v[:] = trial_x, trial_v
+            state.last_x[:], state.last_v[:] = x, v
+            return True
+    return False
+
+
+@kernel
+def _newton(work: Workspace, terms: ForceTerms, h: float, openness: float, state: ImplicitState) -> float:
+    """One iteration of Newton's method on the trial state; the farthest way that it moves a particle [m]."""
+    trial_x, trial_v, base_x, base_v = state.trial_x, state.trial_v, state.base_x, state.base_v
+    factors, y = state.matrix.factors, state.unknowns
+    assemble(state.matrix, trial_x, terms, openness, h)
+    if not factorise(factors):
+        return np.inf
+    total_force(trial_x, trial_v, terms, openness, work)
+    for i in range(trial_x.shape[0]):
+        held = terms.inverse_mass[i] == 0.0
+        for axis in range(3):
+            rest = h * work.force[axis, i] - terms.mass[i] * (trial_v[i, axis] - base_v[i, axis])
+            y[3 * factors.place[i] + axis] = 0.0 if held else rest
+    solve(factors, y)
+    state.solved[0] += 1
+    farthest = 0.0
+    for i in range(trial_x.shape[0]):
+        squared = 0.0
+        for axis in range(3):
+            change = y[3 * factors.place[i] + axis]
+            squared += change * change
+            trial_v[i, axis] += change
+            trial_x[i, axis] = base_x[i, axis] + h * trial_v[i, axis]
+        # Not max(): a NaN must come through.
+        if not squared <= farthest:
+            farthest = squared
+    return h * np.sqrt(farthest)
