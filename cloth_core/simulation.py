@@ -46,8 +46,6 @@ _TICK_STEPS = 32
 # The same for implicit steps, and their length where none is asked for [s].
 _IMPLICIT_TICK_STEPS = 1
 _IMPLICIT_STEP = 1.0 / 120.0
-# What is small enough in their solution, as a share of the particle spacing.
-_IMPLICIT_TOLERANCE = 1e-3
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
@@ -465,7 +463,7 @@ class Simulation:
         self._implicit: ImplicitState | None = None
         if self.scene.settings.integrator == "implicit":
             matrix = build_matrix(len(self._x), model.springs, model.bending, model.seam_pairs)
-            self._implicit = ImplicitState.of(matrix, _IMPLICIT_TOLERANCE * garment.spacing)
+            self._implicit = ImplicitState.of(matrix, garment.spacing)
         model.soften(softness)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
