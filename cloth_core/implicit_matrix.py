@@ -1,8 +1,10 @@
-"""The matrix of an implicit step, M + h D + h^2 K: what each spring, bending element and seam adds to it.
+"""The matrix of an implicit step, M + h D + h^2 K: what each spring and each bending element adds to it.
 
 K and D are the derivatives of the forces by place and velocity at the positions at hand. Where a spring is compressed,
 the part of its stiffness across it is negative and left out, so that the matrix is positive definite at any h (Choi and
 Ko 2002); what the forces are is not touched by that, only how fast Newton's method gets there.
+
+The strain limit is a much stiffer spring beyond it, which the matrix holds as any other.
 """
 
 from __future__ import annotations
@@ -18,13 +20,15 @@ from cloth_core.sparse_cholesky import SparseCholesky, analyse
 from cloth_core.springs import Springs
 from cloth_core.step import ForceTerms
 
-__all__ = ["ImplicitMatrix", "assemble", "build_matrix"]
+__all__ = ["ImplicitMatrix", "assemble", "build_matrix", "limit_forces"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Squared distance [m^2] below which two particles have no direction from one to the other.
 _COINCIDENT = 1e-24
+# How many times stiffer a spring is beyond its strain limit: implicit steps take that as it is, without impulses.
+_STIFFER = 100.0
 
 
 class ImplicitMatrix(NamedTuple):
@@ -32,8 +36,8 @@ class ImplicitMatrix(NamedTuple):
 
     Attributes:
         links: pairs of particles that anything connects, (l, 2).
-        bend, bend_own: what bending, whose stiffness is constant, adds to each link and each particle [N/m], (l,), (n,).
-        spring_link, seam_link: link of each spring (s,) and of each pair of a seam (p,).
+        bend, bend_own: what bending, whose stiffness is constant, adds to each link (l,) and particle (n,) [N/m].
+        spring_link: link of each spring, (s,).
         rest_length, stiffness: of the springs [m, N/m], (s,).
         factors: of the matrix.
     """
@@ -42,16 +46,15 @@ class ImplicitMatrix(NamedTuple):
     bend: Floats
     bend_own: Floats
     spring_link: Ints
-    seam_link: Ints
     rest_length: Floats
     stiffness: Floats
     factors: SparseCholesky
 
 
-def build_matrix(particles: int, springs: Springs, bending: Bending | None, seam_pairs: Ints) -> ImplicitMatrix:
-    """Find the places of all elements; seam_pairs (p, 2) are those of open seams."""
+def build_matrix(particles: int, springs: Springs, bending: Bending | None) -> ImplicitMatrix:
+    """Find the places of all elements."""
     own = np.zeros(particles)
-    pairs, bends = [springs.pairs, seam_pairs], [np.zeros(len(springs)), np.zeros(len(seam_pairs))]
+    pairs, bends = [springs.pairs], [np.zeros(len(springs))]
     if bending is not None:
         line_weights = np.tile([1.0, -2.0, 1.0], (len(bending.lines), 1))
         for index, weights, stiffness in (
@@ -64,21 +67,13 @@ def build_matrix(particles: int, springs: Springs, bending: Bending | None, seam
                     pairs.append(index[:, [a, b]])
                     bends.append(stiffness * weights[:, a] * weights[:, b])
     both = np.sort(np.concatenate(pairs), axis=1).astype(np.int64)
-    # Elements across a seam may have a particle twice: what they add between it and itself is twice its own.
-    same = both[:, 0] == both[:, 1]
-    bend = np.concatenate(bends)
-    own += 2.0 * np.bincount(both[same, 0], weights=bend[same], minlength=particles)
-    key, inverse = np.unique(both[:, 0] * particles + both[:, 1], return_inverse=True)
-    linked = key // particles != key % particles
-    number = np.cumsum(linked) - 1
-    link = np.where(linked[inverse], number[inverse], -1)
-    links = np.stack([key // particles, key % particles], axis=1)[linked].astype(np.int32)
+    key, link = np.unique(both[:, 0] * particles + both[:, 1], return_inverse=True)
+    links = np.stack([key // particles, key % particles], axis=1).astype(np.int32)
     return ImplicitMatrix(
         links=links,
-        bend=np.bincount(inverse, weights=bend, minlength=len(key))[linked],
+        bend=np.bincount(link, weights=np.concatenate(bends), minlength=len(key)).astype(np.float64),
         bend_own=own,
         spring_link=link[: len(springs)].astype(np.int32),
-        seam_link=link[len(springs) : len(springs) + len(seam_pairs)].astype(np.int32),
         rest_length=springs.rest_length,
         stiffness=springs.stiffness,
         factors=analyse(particles, links),
@@ -86,7 +81,7 @@ def build_matrix(particles: int, springs: Springs, bending: Bending | None, seam
 
 
 @kernel
-def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, openness: float, h: float) -> None:
+def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> None:
     """Write M + h D + h^2 K at positions x (n, 3) [m] into the room of the factors; h [s].
 
     What is held has a row and a column of the unit matrix.
@@ -105,36 +100,38 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, openness: flo
         i, j = matrix.links[k, 0], matrix.links[k, 1]
         if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
             _add(values, factors.off_diagonal[k], factors.off_diagonal_stride[k], scale * matrix.bend[k])
+    limited = terms.strain_limit.longest.shape[0] > 0
     for s in range(matrix.spring_link.shape[0]):
         i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         squared = dx * dx + dy * dy + dz * dz
         if squared < _COINCIDENT:
             continue
-        across = max(1.0 - matrix.rest_length[s] / np.sqrt(squared), 0.0)
-        along = ((1.0 - across) * h * h + terms.spring_damping_time * h) * matrix.stiffness[s] / squared
+        length = np.sqrt(squared)
+        across = max(1.0 - matrix.rest_length[s] / length, 0.0)
+        along = 1.0 - across
+        if limited and length > terms.strain_limit.longest[s]:
+            beyond = 1.0 - terms.strain_limit.longest[s] / length
+            across += _STIFFER * beyond
+            along += _STIFFER * (1.0 - beyond)
+        along = (along * h * h + terms.spring_damping_time * h) * matrix.stiffness[s] / squared
         _add_pair(matrix, inverse_mass, matrix.spring_link[s], i, j, across * h * h * matrix.stiffness[s], along,
                   dx, dy, dz)  # fmt: skip
-    seam = terms.seam
-    for s in range(seam.pairs.shape[0]):
-        i, j = seam.pairs[s, 0], seam.pairs[s, 1]
+
+
+@kernel
+def limit_forces(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, force: Floats) -> None:
+    """Add what springs beyond their strain limit pull with more than by their stiffness; x (n, 3) [m], force (3, n) [N]."""
+    for s in range(terms.strain_limit.longest.shape[0]):
+        i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         squared = dx * dx + dy * dy + dz * dz
-        length = np.sqrt(squared)
-        rest = openness * seam.start_length[s]
-        pull = seam.stiffness * max(length - rest, 0.0)
-        stiffness = seam.stiffness if length > rest else 0.0
-        if pull > seam.largest_force:  # as hard as it can: more of a gap changes nothing but the direction
-            pull, stiffness = seam.largest_force, 0.0
-        if squared < _COINCIDENT:
-            across, along = stiffness, 0.0
-        else:
-            across = pull / length
-            along = max(stiffness - across, 0.0) / squared
-        _add_pair(
-            matrix, inverse_mass, matrix.seam_link[s], i, j, across * h * h + seam.damping[s] * h, along * h * h,
-            dx, dy, dz,
-        )  # fmt: skip
+        longest = terms.strain_limit.longest[s]
+        if squared > longest * longest:
+            pull = _STIFFER * matrix.stiffness[s] * (1.0 - longest / np.sqrt(squared))
+            for axis, d in ((0, dx), (1, dy), (2, dz)):
+                force[axis, i] += pull * d
+                force[axis, j] -= pull * d
 
 
 @kernel
@@ -152,7 +149,7 @@ def _add_pair(
             at, stride = factors.diagonal[k], factors.diagonal_stride[k]
             _add(factors.values, at, stride, across)
             _add_outer(factors.values, at, stride, ex, ey, ez, dx, dy, dz)
-    if free == 2 and link >= 0:
+    if free == 2:
         at, stride = factors.off_diagonal[link], factors.off_diagonal_stride[link]
         _add(factors.values, at, stride, -across)
         _add_outer(factors.values, at, stride, -ex, -ey, -ez, dx, dy, dz)

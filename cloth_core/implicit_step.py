@@ -4,11 +4,15 @@ Where nothing touches, the second-order backward difference (BDF2; Choi and Ko 2
 
     x1 = (4 x - x-)/3 + h v1,    v1 = (4 v - v-)/3 + h a(x1, v1),    h = 2 dt / 3,
 
-else, and in the first step, implicit Euler (Baraff and Witkin 1998): x1 = x + dt v1, v1 = v + dt a(x1, v1). Both damp what
-is faster than the step and are stable at any step. Newton's method solves for v1, with the matrix at the place where
-the particles would be without forces: at the place where they are (Baraff and Witkin's choice), stiff cloth that turns
-is held back (measured in docs/integrators.md). Contact and strain limit act after the solution as they do after a
-symplectic step: nothing can cross here either.
+else, and in the first step, implicit Euler (Baraff and Witkin 1998): x1 = x + dt v1, v1 = v + dt a(x1, v1). Both damp
+what is faster than the step and are stable at any step. Newton's method solves for v1, beginning where the particles
+would be without forces: where they are now (Baraff and Witkin's choice), stiff cloth that turns is held back (measured
+in docs/integrators.md).
+
+Contact acts after the solution as it does after a symplectic step: nothing can cross here either. So that cloth at rest
+stays at rest, the solution is given the force that contact had to exert in the last steps, and it is taken back before
+contact acts, which finds out anew how much of it is needed. What rests is then in balance with its springs, not pulled
+by them into what it lies on and pushed out again in each step.
 """
 
 from __future__ import annotations
@@ -19,11 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
-from cloth_core.implicit_matrix import ImplicitMatrix, assemble
+from cloth_core.implicit_matrix import ImplicitMatrix, assemble, limit_forces
 from cloth_core.kernel import kernel
 from cloth_core.sparse_cholesky import factorise, solve
 from cloth_core.step import ForceTerms, Workspace, total_force
-from cloth_core.strain_limit import hold_strain, repeat_strain_impulses, watch_strain
 
 __all__ = ["ImplicitState", "implicit_steps"]
 
@@ -37,8 +40,13 @@ _SMALLEST_PART = 256
 
 
 # Newton's iterations end when the next one would leave less than this stretching energy per area [J/m^2]: an iteration
-# that moves particles by a share e of the spacing leaves errors of order e^2, strains of stiffness k times their square.
+# that moves particles by a share e of the spacing leaves errors of order e^2, strains of energy k e^4.
 _ENERGY_LEFT = 0.001
+# And when it would change the velocity by less than this, RMS [m/s].
+_SPEED_LEFT = 0.05
+
+# Time over which the push of contact is averaged [s]: a blow does not go on as a push.
+_MEMORY = 0.02
 
 
 class ImplicitState(NamedTuple):
@@ -49,6 +57,7 @@ class ImplicitState(NamedTuple):
         tolerance: RMS movement [m] in Newton's last iteration that is small enough, (1,).
         before_x, before_v: state a step ago, (n, 3); last_x, last_v: what the last step left, (n, 3).
         last_step: its length [s], 0 where there is none to go on from, (1,).
+        push: mean force of contact and its friction on each particle in the last steps [N], (n, 3).
         trial_x, trial_v, base_x, base_v: scratch, (n, 3).
         unknowns: scratch, (3 n,).
         factorised: number of matrices factorised so far, (1,).
@@ -61,6 +70,7 @@ class ImplicitState(NamedTuple):
     last_x: Floats
     last_v: Floats
     last_step: Floats
+    push: Floats
     trial_x: Floats
     trial_v: Floats
     base_x: Floats
@@ -74,10 +84,13 @@ class ImplicitState(NamedTuple):
         stiffest = max(float(matrix.stiffness.max(initial=0.0)), _ENERGY_LEFT)
         tolerance = spacing * (_ENERGY_LEFT / stiffest) ** 0.25
         n = len(matrix.bend_own)
-        room = [np.zeros((n, 3)) for _ in range(8)]
-        return cls(
-            matrix, np.array([tolerance]), *room[:4], np.zeros(1), *room[4:], np.zeros(3 * n), np.zeros(1, dtype=np.int64)
+        before_x, before_v, last_x, last_v, push, trial_x, trial_v, base_x, base_v = (
+            np.zeros((n, 3)) for _ in range(9)
         )
+        return cls(
+            matrix, np.array([tolerance]), before_x, before_v, last_x, last_v, np.zeros(1), push, trial_x, trial_v,
+            base_x, base_v, np.zeros(3 * n), np.zeros(1, dtype=np.int64),
+        )  # fmt: skip
 
     def with_stiffness(self, stiffness: Floats) -> ImplicitState:
         """The same with other stiffnesses of the springs (s,) [N/m]."""
@@ -95,42 +108,57 @@ def implicit_steps(
     contacts: ContactState,
     dt: float,
     count: int,
-    openness: float,
-    openness_rate: float,
     state: ImplicitState,
 ) -> int:
     """Up to `count` steps of dt [s], in place; the number done, fewer when contacts must be searched anew.
 
     As `cloth_core.step.run_steps`. Where Newton's method finds nothing, x becomes NaN.
     """
+    if not contact.active:
+        state.push[:] = 0.0
     for step in range(count):
-        openness = max(openness - openness_rate * dt, 0.0)
-        watch_strain(x, terms.spring_pairs, terms.strain_limit)
-        limited = terms.strain_limit.watched_count[0] > 0
-        free = not (contact.active or limited)
-        _advance(x, v, work, terms, dt, openness, free, state)
-        if limited:
-            repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-        if contact.active:
-            spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
-        if limited:
-            hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        _advance(x, v, work, terms, dt, not contact.active, state)
+        if not contact.active:
+            continue
+        _take_push_back(x, v, terms.inverse_mass, state.push, dt)
+        state.base_v[:] = v
+        spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
+        _remember_push(v, state.base_v, terms.mass, dt, state.push)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if contact.active and (keep_within_travel(x, v, contacts, moved) or spent):
+        if keep_within_travel(x, v, contacts, moved) or spent:
             return step + 1
     return count
 
 
 @kernel
+def _take_push_back(x: Floats, v: Floats, inverse_mass: Floats, push: Floats, dt: float) -> None:
+    """Take from x, v what the push of the last steps gave: contact finds out anew what is needed."""
+    for i in range(x.shape[0]):
+        for axis in range(3):
+            change = dt * inverse_mass[i] * push[i, axis]
+            v[i, axis] -= change
+            x[i, axis] -= dt * change
+
+
+@kernel
+def _remember_push(v: Floats, before: Floats, mass: Floats, dt: float, push: Floats) -> None:
+    """Take what changed the velocity from `before` to v into the mean force of the last steps."""
+    share = 1.0 - np.exp(-dt / _MEMORY)
+    for i in range(v.shape[0]):
+        for axis in range(3):
+            push[i, axis] += share * ((v[i, axis] - before[i, axis]) * mass[i] / dt - push[i, axis])
+
+
+@kernel
 def _advance(
-    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, openness: float, free: bool,
+    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, free: bool,
     state: ImplicitState,
 ) -> None:  # fmt: skip
     """One step of dt, in parts if need be; free: whether nothing but the force terms acts."""
     parts, done = 1, 0
     while done < parts:
         second_order = free and parts == 1 and state.last_step[0] == dt and _is_as_left(x, v, terms, state)
-        if _step(x, v, work, terms, dt / parts, openness, second_order, state):
+        if _step(x, v, work, terms, dt / parts, second_order, state):
             done += 1
             state.last_step[0] = dt if free and parts == 1 else 0.0
         elif parts < _SMALLEST_PART:
@@ -153,7 +181,7 @@ def _is_as_left(x: Floats, v: Floats, terms: ForceTerms, state: ImplicitState) -
 
 @kernel
 def _step(
-    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, openness: float, second_order: bool,
+    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, second_order: bool,
     state: ImplicitState,
 ) -> bool:  # fmt: skip
     """One whole step, in place; False, and nothing changed, where Newton's method does not converge."""
@@ -171,10 +199,10 @@ def _step(
             trial_v[i, axis] = u
             trial_x[i, axis] = base_x[i, axis] + h * u
     for iteration in range(_ITERATIONS):
-        moved = _newton(work, terms, h, openness, state)
+        moved = _newton(work, terms, h, state)
         if not moved < np.inf:
             return False
-        if iteration > 0 and moved <= state.tolerance[0]:
+        if iteration > 0 and moved <= min(state.tolerance[0], _SPEED_LEFT * h):
             state.before_x[:], state.before_v[:] = x, v
             x[:], v[:] = trial_x, trial_v
             state.last_x[:], state.last_v[:] = x, v
@@ -183,19 +211,22 @@ def _step(
 
 
 @kernel
-def _newton(work: Workspace, terms: ForceTerms, h: float, openness: float, state: ImplicitState) -> float:
+def _newton(work: Workspace, terms: ForceTerms, h: float, state: ImplicitState) -> float:
     """One iteration of Newton's method on the trial state; how far it moves the particles, RMS [m]."""
     trial_x, trial_v, base_x, base_v = state.trial_x, state.trial_v, state.base_x, state.base_v
     factors, y = state.matrix.factors, state.unknowns
-    assemble(state.matrix, trial_x, terms, openness, h)
+    assemble(state.matrix, trial_x, terms, h)
     state.factorised[0] += 1
     if not factorise(factors):
         return np.inf
-    total_force(trial_x, trial_v, terms, openness, work)
+    total_force(trial_x, trial_v, terms, 0.0, work)
+    limit_forces(state.matrix, trial_x, terms, work.force)
     for i in range(trial_x.shape[0]):
         held = terms.inverse_mass[i] == 0.0
         for axis in range(3):
-            rest = h * work.force[axis, i] - terms.mass[i] * (trial_v[i, axis] - base_v[i, axis])
+            rest = h * (work.force[axis, i] + state.push[i, axis]) - terms.mass[i] * (
+                trial_v[i, axis] - base_v[i, axis]
+            )
             y[3 * factors.place[i] + axis] = 0.0 if held else rest
     solve(factors, y)
     squares = 0.0
@@ -205,4 +236,4 @@ def _newton(work: Workspace, terms: ForceTerms, h: float, openness: float, state
             squares += change * change
             trial_v[i, axis] += change
             trial_x[i, axis] = base_x[i, axis] + h * trial_v[i, axis]
-    return h * np.sqrt(squares / trial_x.shape[0])
+    return float(h * np.sqrt(squares / trial_x.shape[0]))

@@ -151,11 +151,6 @@ class Model:
         """Stiffness of each spring, softened or not [N/m], shape (s,)."""
         return self._stiffness
 
-    @property
-    def seam_pairs(self) -> Ints:
-        """Pairs of particles that open seams pull together, shape (p, 2)."""
-        return (_NO_SEAMS if self.seam_pull is None else self.seam_pull).pairs
-
     def force_terms(self, air_drag: float) -> ForceTerms:
         """The force terms' arrays; air_drag k_a [1/s] is the scene's, or more while a run only looks for rest."""
         bend = self.bending if self.bending is not None else _NO_BENDING

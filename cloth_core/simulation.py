@@ -142,6 +142,11 @@ class Simulation:
         self._tick_steps = _TICK_STEPS if scene.settings.integrator == "symplectic" else _IMPLICIT_TICK_STEPS
         garment = scene.garment
         sewing = bool(scene_without(scene).garment.seams)
+        if sewing and scene.settings.integrator == "implicit":
+            raise SceneError(
+                "integrator 'implicit': it sews no seams, and drapes on a body cost it many times what they cost "
+                "'symplectic'; use that, or a garment without seams"
+            )
         self._use(Model(scene, sewing=sewing), garment.start, np.zeros_like(garment.start))
         self.phase = SEWING if sewing else DRAPING
         self._wall += time.perf_counter() - began
@@ -425,10 +430,11 @@ class Simulation:
     def _steps(self, step: float, count: int, openness: float) -> int:
         """Up to `count` steps of that length [s] by the scene's integrator; how many were done."""
         arguments = (
-            self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
-            count, openness, 1.0 / self.scene.settings.closing_time,
+            self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step, count,
         )  # fmt: skip
-        return run_steps(*arguments) if self._implicit is None else implicit_steps(*arguments, self._implicit)
+        if self._implicit is not None:
+            return implicit_steps(*arguments, self._implicit)
+        return run_steps(*arguments, openness, 1.0 / self.scene.settings.closing_time)
 
     def _openness(self) -> float:
         """Share of its start length to which a seam's pull lets it close by now."""
@@ -462,7 +468,7 @@ class Simulation:
         self._moved = np.zeros(len(self._x))
         self._implicit: ImplicitState | None = None
         if self.scene.settings.integrator == "implicit":
-            matrix = build_matrix(len(self._x), model.springs, model.bending, model.seam_pairs)
+            matrix = build_matrix(len(self._x), model.springs, model.bending)
             self._implicit = ImplicitState.of(matrix, garment.spacing)
         model.soften(softness)
         self._contact_settings = model.contact_settings()

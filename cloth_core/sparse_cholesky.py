@@ -103,7 +103,7 @@ def analyse(particles: int, pairs: Ints) -> SparseCholesky:
     ]
     largest = max((3 * (high - low) * (3 * (count[k] - low) + _ROWS) for u in updates for k, low, high in u), default=0)
 
-    def entry(column: Ints, row: Ints) -> NDArray[np.int64]:
+    def entry(column: NDArray[np.integer], row: NDArray[np.integer]) -> NDArray[np.int64]:
         """Where the block of two places lies."""
         s = owner[column]
         at = np.array([np.searchsorted(rows[k], r) for k, r in zip(s, row, strict=True)], dtype=np.int64)
@@ -164,7 +164,7 @@ def _structure(
     for low, high in ends.tolist():
         rows[low].add(high)
     children: list[list[int]] = [[] for _ in range(particles)]
-    roots = []
+    roots: list[int] = []
     for j in range(particles):
         for child in children[j]:
             rows[j] |= rows[child]
