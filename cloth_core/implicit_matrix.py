@@ -121,7 +121,7 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> 
 
 @kernel
 def limit_forces(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, force: Floats) -> None:
-    """Add what springs beyond their strain limit pull with more than by their stiffness; x (n, 3) [m], force (3, n) [N]."""
+    """Add the additional pull of springs beyond their strain limit; x (n, 3) [m], force (3, n) [N]."""
     for s in range(terms.strain_limit.longest.shape[0]):
         i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
