@@ -88,14 +88,14 @@ class BodyContact:
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
 
     def candidates(
-        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float
+        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float | Floats
     ) -> tuple[VertexPlanes, Ints, Floats, Floats]:
-        """All pairs that can come into contact while no particle moves farther than radius from x (n, 3) [m].
+        """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
 
         Args:
             x, triangles, cloth: positions [m], the cloth's triangles and who owns what.
             tree: of the cloth's triangles, its boxes enlarged by at least offset + radius.
-            radius: [m].
+            radius: [m], for all or for each particle, (n,).
 
         Returns:
             the vertex pairs; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
@@ -110,9 +110,10 @@ class BodyContact:
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
+        radii = np.ascontiguousarray(np.broadcast_to(radius, len(x)), dtype=np.float64)
         vertex_pairs, vertex_distance, rows, distance = _candidates(
             x, triangles, cloth, self.body.vertices, self.body.triangles, self.body.representatives,
-            self._leaf_pairs[:found], self.offset + radius, self.side_offset + radius,
+            self._leaf_pairs[:found], self.offset, self.side_offset, radii,
         )  # fmt: skip
         planes = VertexPlanes.of(len(x), vertex_pairs, vertex_distance)
         return planes, rows, np.full(len(rows), self.side_offset), distance
@@ -127,10 +128,11 @@ def _candidates(
     body_triangles: Ints,
     body: Representatives,
     leaf_pairs: Ints,
-    vertex_reach: float,
-    side_reach: float,
+    vertex_offset: float,
+    side_offset: float,
+    radius: Floats,
 ) -> tuple[Ints, Floats, Ints, Floats]:
-    """Vertex-triangle pairs within vertex_reach, edge-edge and triangle-vertex pairs within side_reach [m]."""
+    """Vertex-triangle, edge-edge and triangle-vertex pairs within their offsets and the cloth's radii (n,) [m]."""
     vertex_pairs = np.empty((4096, 2), dtype=np.int32)
     vertex_distance = np.empty((4096, 1))
     sides = np.empty((4096, 7), dtype=np.int32)
@@ -140,12 +142,14 @@ def _candidates(
         ct, bt = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
         b0, b1, b2 = body_triangles[bt, 0], body_triangles[bt, 1], body_triangles[bt, 2]
         c0, c1, c2 = triangles[ct, 0], triangles[ct, 1], triangles[ct, 2]
+        corner_reach = side_offset + max(radius[c0], max(radius[c1], radius[c2]))
         if side_count + 12 > sides.shape[0]:
             sides, side_distance = doubled(sides), doubled_lengths(side_distance)
         if vertex_count + 3 > vertex_pairs.shape[0]:
             vertex_pairs, vertex_distance = doubled(vertex_pairs), doubled_lengths(vertex_distance)
         for k in range(3):
             i = triangles[ct, k]
+            vertex_reach = vertex_offset + radius[i]
             if cloth.owns_vertex[ct, k] and not outside_box(x[i], body_x[b0], body_x[b1], body_x[b2], vertex_reach):
                 squared = point_triangle(x[i], body_x[b0], body_x[b1], body_x[b2])[0]
                 if squared < vertex_reach * vertex_reach:
@@ -154,14 +158,15 @@ def _candidates(
                     vertex_distance[vertex_count, 0] = np.sqrt(squared)
                     vertex_count += 1
             j = body_triangles[bt, k]
-            if body.owns_vertex[bt, k] and not outside_box(body_x[j], x[c0], x[c1], x[c2], side_reach):
+            if body.owns_vertex[bt, k] and not outside_box(body_x[j], x[c0], x[c1], x[c2], corner_reach):
                 squared = point_triangle(body_x[j], x[c0], x[c1], x[c2])[0]
-                if squared < side_reach * side_reach:
+                if squared < corner_reach * corner_reach:
                     write_pair(sides, side_count, BODY_VERTEX, c0, c1, c2, -1, j, -1)
                     side_distance[side_count, 0] = np.sqrt(squared)
                     side_count += 1
             if cloth.owns_edge[ct, k]:
                 p, q = triangles[ct, k], triangles[ct, (k + 1) % 3]
+                side_reach = side_offset + max(radius[p], radius[q])
                 for m in range(3):
                     if not body.owns_edge[bt, m]:
                         continue

@@ -1,7 +1,8 @@
 """Contact of cloth with a body and with itself: nothing can pass through, at any speed and time step.
 
 *Broad phase* (rarely): traversals of the AABB trees find every vertex-triangle and edge-edge pair that can come into
-contact while no particle moves farther than a radius. It is repeated when a particle has used up most of that radius.
+contact while no particle moves farther than its radius: what moves fast gets a large one and what hardly moves a small
+one, so that all are used up at about the same time. It is repeated when a particle has used up most of its radius.
 
 *Narrow phase* (more often): the distances of those candidates, and from them a bound on how far each particle may
 travel before the next narrow phase: less than its share of the distance to whatever it could hit, so that nothing can
@@ -50,10 +51,16 @@ _CLOTH_TRAVEL = 0.45
 _NO_TRAVEL = 1e-9
 # A new search is due when any particle has used this share of its way.
 SPENT = 0.65
-# How far particles may move between two broad phases, if nobody says otherwise [m], and the share of it that must be
-# left for a narrow phase to make do with the candidates that there are.
+# How far particles may move between two broad phases [m]: the fastest one, if nobody says otherwise, and one that does
+# not move at all.
 _RADIUS = 0.006
-_LEAST_SHARE = 0.25
+_LEAST_RADIUS = 0.002
+# What must be left of it for a narrow phase to make do with the candidates that there are: this share of what a
+# particle wants to go, so that the bound slows nothing down; but no less than this much [m] and no more than this share
+# of the largest radius.
+_ENOUGH_OF_REACH = 0.1
+_ENOUGH = 0.001
+_ENOUGH_OF_RADIUS = 0.5
 
 
 class ContactState(NamedTuple):
@@ -109,7 +116,7 @@ class Contact:
         triangles: the cloth's, shape (m, 3).
         body: what it meets, or None.
         cloth: contact with itself, or None where that cannot happen.
-        radius: how far particles may move between two broad phases [m].
+        radius: how far particles may move at most between two broad phases [m].
 
     Attributes:
         broad_phases, narrow_phases: how many there were.
@@ -127,6 +134,7 @@ class Contact:
         self._representatives = representatives(self.triangles)
         self._tree: AabbTree | None = None
         self._broad_x = np.zeros((0, 3))
+        self._radii = np.zeros(0)
         self._broad_body_x = np.zeros((0, 3))
         self._planes = _no_planes(0)
         self._pairs = PairContacts.none()
@@ -136,20 +144,27 @@ class Contact:
 
         Args:
             x: positions [m], shape (n, 3).
-            reach: how far particles want to go [m], for all or for each, shape (n,); at most the radius is granted.
+            reach: how far particles want to go [m], above 0, for all or for each, shape (n,); at most the radius is
+                granted.
         """
-        reach = np.minimum(np.broadcast_to(reach, len(x)), self.radius)
-        moved = np.full(len(x), np.inf)
-        if len(self._broad_x) == len(x):
+        wanted = np.broadcast_to(reach, len(x))
+        granted = np.minimum(wanted, self.radius)
+        due = len(self._broad_x) != len(x)
+        if not due:
             moved = np.sqrt(((x - self._broad_x) ** 2).sum(axis=1)) + self._way_of_body()
-        least = np.clip(reach, _LEAST_SHARE * self.radius, 0.5 * self.radius)
-        if (self.radius - moved < least).any():
+            left = self._radii - moved
+            enough = np.clip(_ENOUGH_OF_REACH * wanted, _ENOUGH, _ENOUGH_OF_RADIUS * self.radius)
+            due = bool((left < np.minimum(granted, enough)).any())
+        if due:
+            # In proportion to how fast each moves, so that all are used up at about the same time.
+            least = min(_LEAST_RADIUS, self.radius)
+            self._radii = least + (self.radius - least) * (wanted / wanted.max())
             self._broad_phase(x)
-            moved[:] = 0.0
-        reach = np.minimum(reach, self.radius - moved)
+            moved, left = np.zeros(len(x)), self._radii
+        granted = np.minimum(granted, left)
         body_x = self.body.body.vertices if self.body is not None else np.zeros((0, 3))
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
-        travel, near = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, reach)
+        travel, near = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, granted)
         self.narrow_phases += 1
         planes = NearPlanes(near[:, 0].astype(np.int32), np.ascontiguousarray(near[:, 1:4]), near[:, 4].copy())
         return ContactState(x.copy(), travel, self._planes, self._pairs, planes)
@@ -161,13 +176,13 @@ class Contact:
         if self.body is not None:
             if self._tree is None:
                 self._tree = build_tree(x, self.triangles)
-            refit_tree(self._tree, x, self.triangles, self.body.offset + self.radius)
+            refit_tree(self._tree, x, self.triangles, self.body.offset + self._radii)
             self._planes, rows, offset, distance = self.body.candidates(
-                x, self.triangles, self._representatives, self._tree, self.radius
+                x, self.triangles, self._representatives, self._tree, self._radii
             )
             parts.append((rows, offset, distance))
         if self.cloth is not None:
-            parts.append(self.cloth.candidates(x, self.radius))
+            parts.append(self.cloth.candidates(x, self._radii))
         pairs = PairContacts.none()
         if parts:
             rows, offset, distance = (np.concatenate(column) for column in zip(*parts, strict=True))

@@ -152,7 +152,7 @@ def _lattice_mesh(
     cy, cx = cy[clear], cx[clear]
     quads = corners[cy, cx].astype(np.int32).reshape(-1, 4)
 
-    band = _delaunay_band(polygon, points, origin, step, whole)
+    band = _delaunay_band(polygon, points, ids, origin, step, whole)
     a, b, c, d = quads.T
     even = ((cx + cy) % 2 == 0)[:, None]
     first = np.where(even, np.stack([a, b, c], 1), np.stack([a, b, d], 1))
@@ -194,12 +194,24 @@ def _cell_boxes(origin: Floats, step: Floats, cell: NDArray[np.integer], shrink:
     return shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
 
 
-def _delaunay_band(polygon: Any, points: Floats, origin: Floats, step: Floats, whole: NDArray[np.bool_]) -> Ints:
-    """Delaunay triangles that lie inside the panel but in no whole cell, counter-clockwise, shape (k, 3)."""
+def _delaunay_band(
+    polygon: Any, points: Floats, ids: Ints, origin: Floats, step: Floats, whole: NDArray[np.bool_]
+) -> Ints:
+    """Delaunay triangles that lie inside the panel but in no whole cell, counter-clockwise, shape (k, 3).
+
+    ids (ny, nx) are the points of the lattice's nodes. Nodes with two rings of whole cells around them are left out:
+    they are corners of no such triangle, and in a large panel they are nearly all.
+    """
     import shapely
+    from scipy.ndimage import binary_erosion
     from scipy.spatial import Delaunay
 
-    triangles = Delaunay(points).simplices.astype(np.int32)
+    deep = binary_erosion(whole, np.ones((3, 3)), iterations=2)
+    deep = deep[:-1, :-1] & deep[:-1, 1:] & deep[1:, :-1] & deep[1:, 1:]
+    needed = np.ones(len(points), dtype=bool)
+    needed[ids[1:-1, 1:-1][deep]] = False
+    index = np.flatnonzero(needed).astype(np.int32)
+    triangles = index[Delaunay(points[index]).simplices]
     corner = points[triangles]
     area = _doubled_areas(points, triangles)
     triangles[area < 0] = triangles[area < 0][:, ::-1]

@@ -70,8 +70,12 @@ class SelfContact:
             triangles = np.concatenate([triangles, _free_gaps(garment)])
         return cls(triangles, identity, height, offset)
 
-    def candidates(self, x: Floats, radius: float) -> tuple[Ints, Floats, Floats]:
-        """All pairs that can come into contact while no particle moves farther than radius from x (n, 3) [m].
+    def candidates(self, x: Floats, radius: float | Floats) -> tuple[Ints, Floats, Floats]:
+        """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
+
+        Args:
+            x: positions [m].
+            radius: [m], for all or for each particle, (n,).
 
         Returns:
             pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
@@ -92,9 +96,10 @@ class SelfContact:
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
+        radii = np.ascontiguousarray(np.broadcast_to(radius, len(x)), dtype=np.float64)
         rows, lengths = _candidates(
             x, self.triangles, self._representatives, self.identity, self._neighbour_start, self._neighbours,
-            self._room, self._leaf_pairs[:found], self.offset, self.offset + 2.0 * radius,
+            self._room, self._leaf_pairs[:found], self.offset, radii,
         )  # fmt: skip
         return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
 
@@ -196,13 +201,16 @@ def _candidates(
     room: Floats,
     leaf_pairs: Ints,
     offset: float,
-    reach: float,
+    radius: Floats,
 ) -> tuple[Ints, Floats]:
-    """Vertex-triangle and edge-edge pairs within reach [m]: rows (s, 7), and offset and distance (s, 2)."""
+    """Vertex-triangle and edge-edge pairs within the offset and both sides' radii (n,) [m].
+
+    Returns:
+        rows (s, 7), and offset and distance (s, 2).
+    """
     rows = np.empty((4096, 7), dtype=np.int32)
     lengths = np.empty((4096, 2))
     count = 0
-    squared_reach = reach * reach
     for pair in range(leaf_pairs.shape[0]):
         if count + 15 > rows.shape[0]:
             rows, lengths = doubled(rows), doubled_lengths(lengths)
@@ -210,15 +218,17 @@ def _candidates(
             one, other = leaf_pairs[pair, turn], leaf_pairs[pair, 1 - turn]
             a, b, c = triangles[other, 0], triangles[other, 1], triangles[other, 2]
             la, lb, lc = identity[a], identity[b], identity[c]
+            beyond = offset + max(radius[a], max(radius[b], radius[c]))
             for k in range(3):
                 if not cloth.owns_vertex[one, k]:
                     continue
                 i = triangles[one, k]
                 li = identity[i]
+                reach = beyond + radius[i]
                 if li == la or li == lb or li == lc or outside_box(x[i], x[a], x[b], x[c], reach):
                     continue
                 squared = point_triangle(x[i], x[a], x[b], x[c])[0]
-                if squared >= squared_reach:
+                if squared >= reach * reach:
                     continue
                 apart = offset
                 if (
@@ -244,6 +254,7 @@ def _candidates(
                 la, lb = identity[a], identity[b]
                 if lp == la or lp == lb or lq == la or lq == lb:
                     continue
+                reach = offset + max(radius[p], radius[q]) + max(radius[a], radius[b])
                 apart_boxes = False
                 for axis in range(3):
                     apart_boxes = apart_boxes or (
@@ -253,7 +264,7 @@ def _candidates(
                 if apart_boxes:
                     continue
                 squared = segment_segment(x[p], x[q], x[a], x[b])[0]
-                if squared >= squared_reach:
+                if squared >= reach * reach:
                     continue
                 apart = offset
                 if (

@@ -464,7 +464,6 @@ class Simulation:
         self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
         self._v_before = self._v.copy()
-        self._work = Workspace.of(len(self._x))
         self._moved = np.zeros(len(self._x))
         self._implicit: ImplicitState | None = None
         if self.scene.settings.integrator == "implicit":
@@ -474,7 +473,9 @@ class Simulation:
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
+        self._work = Workspace.of(0)  # so that the old one takes no room meanwhile
         self._stable = model.stable_step(self._x, self._air_drag())
+        self._work = Workspace.of(len(self._x))
         self._contacts = ContactState.none()
         self._flight_step = math.inf
         self._impulse_step = 1.0
@@ -514,7 +515,7 @@ class Simulation:
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
         speed = np.sqrt((self._v**2).sum(axis=1))
-        reach = np.clip(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH, self.model.contact.radius)
+        reach = np.maximum(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
         if self._body_motion is not None:

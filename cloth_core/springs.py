@@ -166,7 +166,9 @@ def _band_shares(garment: Garment, pairs: Ints, stiffness: Floats, lattice: int)
         most = float((held_by_lattice[whole] / area[whole]).max())
     else:  # there is nothing but band: like equilateral triangles of the spacing
         most = float(np.median(held_by_band / area))
-    share = np.clip((most * area - held_by_lattice) / np.maximum(held_by_band, 1e-300), _LEAST_SHARE, 1.0)
+    room = most * area - held_by_lattice
+    share = np.divide(room, held_by_band, out=np.ones_like(room), where=room < held_by_band)
+    share = np.maximum(share, _LEAST_SHARE)
     return np.asarray(share[pairs[lattice:]].min(axis=1))
 
 

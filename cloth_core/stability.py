@@ -20,6 +20,7 @@ __all__ = ["StableStep", "largest_eigenpair", "stable_time_step"]
 
 Floats = NDArray[np.float64]
 Operator = Callable[[Floats], Floats]
+WeightedSum = Callable[[Floats, float, float], Floats]
 
 
 @dataclass(frozen=True)
@@ -49,27 +50,15 @@ def largest_eigenpair(
     """
     from scipy.linalg import eigh_tridiagonal
 
-    shape = start.shape
+    shape, size = start.shape, start.size
     norm = _norm(start)
     if norm == 0.0:
         return 0.0, start
-    size = start.size
-    basis = np.zeros((8, -(-size // LANES) * LANES))  # rows of whole registers
-    basis[0, :size] = start.ravel() / norm
-    alpha: list[float] = []
-    beta: list[float] = []
+    recurrence = _Recurrence(operator, start / norm)
     value, residual, weights = 0.0, math.inf, np.ones(1)
-    w = np.zeros(basis.shape[1])
     for k in range(iterations):
-        w[:size] = operator(basis[k, :size].reshape(shape)).ravel()
-        alpha.append(_dot(w, basis[k]))
-        for _ in range(2):  # full reorthogonalisation: few vectors, no ghosts
-            before = math.sqrt(_dot(w, w))
-            _orthogonalise(w, basis, k + 1)
-            beta_k = math.sqrt(_dot(w, w))
-            if beta_k > 0.1 * before:  # else what is left is rounding in part, and a second pass takes that away
-                break
-        beta.append(beta_k)
+        recurrence.advance()
+        alpha, beta = recurrence.alpha, recurrence.beta
         last = beta[-1] <= 1e-12 * max(abs(a) for a in alpha) or k == iterations - 1
         if last or k % 4 == 3:
             # The largest pair alone, in one thread: those of BLAS would wait for each other on a busy machine.
@@ -78,13 +67,47 @@ def largest_eigenpair(
             residual = beta[-1] * abs(float(weights[-1]))
             if last or residual <= tolerance * value:
                 break
-        if k + 1 == len(basis):
-            basis = np.concatenate([basis, np.zeros_like(basis)])
-        np.divide(w, beta[-1], out=basis[k + 1])
+    # The vectors are made again rather than kept: a hundred of them would be ten times as large as the whole model.
+    del recurrence
+    recurrence = _Recurrence(operator, start / norm)
     ritz = np.zeros(size)
-    for c, q in zip(weights, basis, strict=False):
-        ritz += c * q[:size]
+    for k, weight in enumerate(weights):
+        if k > 0:
+            recurrence.advance()
+        ritz += weight * recurrence.vector[:size]
     return max(value, 0.0) + (residual if value > 0.0 else 0.0), ritz.reshape(shape)
+
+
+class _Recurrence:
+    """Lanczos' vectors, one after the other, by their recurrence of three terms.
+
+    They lose their orthogonality once the largest pair has converged, which only adds copies of that pair.
+
+    Attributes:
+        vector: the present one, flat, with zeros up to whole registers.
+        alpha, beta: diagonal of the tridiagonal matrix, and what lies beside it and what remains.
+    """
+
+    def __init__(self, operator: Operator, unit: Floats) -> None:
+        self._operator, self._shape, self._size = operator, unit.shape, unit.size
+        whole = -(-unit.size // LANES) * LANES
+        self.vector, self._before, self._next = np.zeros(whole), np.zeros(whole), np.zeros(whole)
+        self.vector[: unit.size] = unit.ravel()
+        self.alpha: list[float] = []
+        self.beta: list[float] = []
+
+    def advance(self) -> None:
+        """On to the next vector."""
+        w = self._next
+        w[: self._size] = self._operator(self.vector[: self._size].reshape(self._shape)).ravel()
+        if self.beta:
+            _take_part(w, self._before, self.beta[-1])
+        self.alpha.append(_dot(w, self.vector))
+        _take_part(w, self.vector, self.alpha[-1])
+        self.beta.append(math.sqrt(_dot(w, w)))
+        if self.beta[-1] > 0.0:
+            w /= self.beta[-1]
+        self._before, self.vector, self._next = self.vector, w, self._before
 
 
 def _norm(a: Floats) -> float:
@@ -103,23 +126,21 @@ def _dot(a: Floats, b: Floats) -> float:
 
 
 @kernel
-def _orthogonalise(w: Floats, basis: Floats, count: int) -> None:
-    """Take from w its parts along the first rows of a basis, one after the other (modified Gram-Schmidt), in place."""
-    for k in range(count):
-        q = basis[k]
-        part = fill(_dot(w, q))
-        for s in range(0, w.shape[0], LANES):
-            take_from(w, s, part * load(q, s))
+def _take_part(w: Floats, q: Floats, part: float) -> None:
+    """w - part q for whole registers, in place."""
+    lanes = fill(part)
+    for s in range(0, w.shape[0], LANES):
+        take_from(w, s, lanes * load(q, s))
 
 
 def stable_time_step(
-    stiffness: Operator, damping: Operator, inverse_mass: Floats, start: Floats | None = None, tolerance: float = 1e-3
+    weighted: WeightedSum, inverse_mass: Floats, start: Floats | None = None, tolerance: float = 1e-3
 ) -> StableStep:
     """Largest dt with dt^2 K + 2 dt C < 4 M.
 
     Args:
-        stiffness, damping: u (n, 3) -> K u [N/m], C u [N s/m], symmetric and positive semi-definite; called one after
-            the other with the same array, so that they can share what they have in common.
+        weighted: u (n, 3), k, c -> k K u + c C u, a new array; K [N/m] and C [N s/m] are symmetric and positive
+            semi-definite.
         inverse_mass: [1/kg], shape (n,), 0 where a particle is fixed.
         start: a mode to start from, for example the last one, shape (n, 3).
         tolerance: relative residual of the eigenvalue.
@@ -130,16 +151,16 @@ def stable_time_step(
 
     def along(mode: Floats) -> tuple[float, float]:
         """k = u K u and c = u C u of the normalised mode."""
-        unit = mode / _norm(mode)
-        scaled = scale * unit
-        return float((scaled * stiffness(scaled)).sum()), float((scaled * damping(scaled)).sum())
+        scaled = scale * (mode / _norm(mode))
+        return float((scaled * weighted(scaled, 1.0, 0.0)).sum()), float((scaled * weighted(scaled, 0.0, 1.0)).sum())
 
     def both(u: Floats, step: float) -> Floats:
-        scaled = scale * u
-        return np.asarray(scale * (step * step * stiffness(scaled) + 2.0 * step * damping(scaled)))
+        total = weighted(scale * u, step * step, 2.0 * step)
+        total *= scale
+        return total
 
     if start is None or not start.any():
-        value, mode = largest_eigenpair(lambda u: scale * stiffness(scale * u), stir, tolerance)
+        value, mode = largest_eigenpair(lambda u: scale * weighted(scale * u, 1.0, 0.0), stir, tolerance)
         dt = 2.0 / math.sqrt(value) if value > 0.0 else math.inf
     else:
         mode = start
