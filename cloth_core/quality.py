@@ -31,8 +31,8 @@ class Settings:
         expected_error: promised RMS distance to the reference drape of the source [m], None where nothing is measured.
         expected_error_source: where that promise comes from.
         integrator: "symplectic" (Euler, explicit), or "implicit" for cloth that is very stiff (docs/integrators.md).
-        time_step: [s]; None takes `safety` times the stable one, and 1/120 s for implicit steps. A longer
-            symplectic step than that is cut into sub-steps.
+        time_step: [s]; None takes `safety` times the stable one, for implicit steps 1/120 s, with a body 1/500 s.
+            A longer symplectic step than that is cut into sub-steps.
         safety: share of the stable time step that is used.
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
         cloth_offset: distance at which layers of cloth are held apart [m].

@@ -43,9 +43,11 @@ OnTick = Callable[["Simulation"], "bool | None"]
 SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
 
 _TICK_STEPS = 32
-# The same for implicit steps, and their length where none is asked for [s].
+# The same for implicit steps, and their length where none is asked for [s]: by itself, and with a body, on which longer
+# steps come to no rest.
 _IMPLICIT_TICK_STEPS = 1
 _IMPLICIT_STEP = 1.0 / 120.0
+_IMPLICIT_STEP_ON_BODY = 1.0 / 500.0
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
@@ -143,10 +145,7 @@ class Simulation:
         garment = scene.garment
         sewing = bool(scene_without(scene).garment.seams)
         if sewing and scene.settings.integrator == "implicit":
-            raise SceneError(
-                "integrator 'implicit': it sews no seams, and drapes on a body cost it many times what they cost "
-                "'symplectic'; use that, or a garment without seams"
-            )
+            raise SceneError("integrator 'implicit': it sews no seams; use 'symplectic', or a garment without seams")
         self._use(Model(scene, sewing=sewing), garment.start, np.zeros_like(garment.start))
         self.phase = SEWING if sewing else DRAPING
         self._wall += time.perf_counter() - began
@@ -501,7 +500,8 @@ class Simulation:
         wanted = self.scene.settings.time_step
         if self._implicit is not None:
             self._implicit = self._implicit.with_stiffness(self.model.spring_stiffness)
-            self._dt = _IMPLICIT_STEP if wanted is None else wanted
+            usual = _IMPLICIT_STEP if self.scene.body is None else _IMPLICIT_STEP_ON_BODY
+            self._dt = usual if wanted is None else wanted
         elif wanted is None:
             self._dt = longest
         else:

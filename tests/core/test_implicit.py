@@ -322,3 +322,20 @@ def test_step_of_a_second_is_finite() -> None:
     assert np.isfinite(simulation._x).all()
     # So long steps damp every swing: it hangs.
     assert simulation._largest_speed() < 1e-2
+
+
+def test_stiff_sheet_comes_to_rest_on_a_ball_with_friction() -> None:
+    garment = sheet(0.6, 0.6, 0.06, z=0.01)
+    ball = body_of(trimesh.creation.icosphere(subdivisions=2, radius=0.15), move=(0.0, 0.0, -0.16))
+    fabric = plain_fabric(structural_warp=1e6, structural_weft=1e6, friction=0.4, damping_time=1e-5)
+    scene = Scene(garment, fabric, body=ball, settings=Settings(spacing=0.06, integrator="implicit", max_time=5.0))
+    simulation = Simulation(scene)
+    report = simulation.settle()
+    assert report.settled
+    assert crossings(*simulation.sewn_mesh(), ball) == report.self_intersections == 0
+    # All of its weight at once on one row would stretch it by 1.2e-5.
+    assert report.max_strain < 1e-3
+    # Where it lies it stays: nothing creeps over the ball when the drape goes on as motion.
+    before = simulation.positions
+    simulation.advance(0.5)
+    assert np.abs(simulation.positions - before).max() < 2e-3
