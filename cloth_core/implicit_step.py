@@ -37,14 +37,11 @@ Ints = NDArray[np.int32]
 # smallest part.
 _ITERATIONS = 10
 _SMALLEST_PART = 256
-
-
 # Newton's iterations end when the next one would leave less than this stretching energy per area [J/m^2]: an iteration
 # that moves particles by a share e of the spacing leaves errors of order e^2, strains of energy k e^4.
 _ENERGY_LEFT = 0.001
 # And when it would change the velocity by less than this, RMS [m/s].
 _SPEED_LEFT = 0.05
-
 # Time over which the push of contact is averaged [s]: a blow does not go on as a push.
 _MEMORY = 0.02
 
@@ -91,10 +88,6 @@ class ImplicitState(NamedTuple):
             matrix, np.array([tolerance]), before_x, before_v, last_x, last_v, np.zeros(1), push, trial_x, trial_v,
             base_x, base_v, np.zeros(3 * n), np.zeros(1, dtype=np.int64),
         )  # fmt: skip
-
-    def with_stiffness(self, stiffness: Floats) -> ImplicitState:
-        """The same with other stiffnesses of the springs (s,) [N/m]."""
-        return self._replace(matrix=self.matrix._replace(stiffness=stiffness))
 
 
 @kernel

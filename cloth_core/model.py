@@ -146,11 +146,6 @@ class Model:
 
     # -- arrays for the compiled loop --
 
-    @property
-    def spring_stiffness(self) -> Floats:
-        """Stiffness of each spring, softened or not [N/m], shape (s,)."""
-        return self._stiffness
-
     def force_terms(self, air_drag: float) -> ForceTerms:
         """The force terms' arrays; air_drag k_a [1/s] is the scene's, or more while a run only looks for rest."""
         bend = self.bending if self.bending is not None else _NO_BENDING

@@ -499,7 +499,6 @@ class Simulation:
         longest = self.model.longest_step(self._stable)
         wanted = self.scene.settings.time_step
         if self._implicit is not None:
-            self._implicit = self._implicit.with_stiffness(self.model.spring_stiffness)
             usual = _IMPLICIT_STEP if self.scene.body is None else _IMPLICIT_STEP_ON_BODY
             self._dt = usual if wanted is None else wanted
         elif wanted is None:
@@ -597,7 +596,7 @@ class Simulation:
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""
-        growth = (1.0 / _SOFTNESS) ** (self._dt * self._tick_steps / _STIFFENING_TIME)
+        growth = (1.0 / _SOFTNESS) ** (self._dt * _TICK_STEPS / _STIFFENING_TIME)
         self.model.soften(self.model.softness * growth)
         self._refresh_time_step()
         self._open_window()
