@@ -179,7 +179,7 @@ def membrane(axes: Any) -> Rows:
             x = garment.start @ (np.eye(3) + e * strain)  # noqa: B023
             forces = Workspace.of(len(x))
             total_force(np.ascontiguousarray(x), np.zeros_like(x), terms, 0.0, forces)  # noqa: B023
-            return -float((forces.force.T * (garment.start @ by)).sum()) / (e * area)  # noqa: B023
+            return -float((forces.force[:, : len(x)].T * (garment.start @ by)).sum()) / (e * area)  # noqa: B023
 
         xx, yy = np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 1.0, 0.0])
         xy = np.zeros((3, 3))

@@ -51,7 +51,7 @@ _IMPLICIT_STEP_ON_BODY = 1.0 / 500.0
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
-_STEPS_PER_SEARCH = 60
+_STEPS_PER_SEARCH = 30
 _LEAST_REACH = 0.001
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.

@@ -167,7 +167,7 @@ def _band_shares(garment: Garment, pairs: Ints, stiffness: Floats, lattice: int)
     else:  # there is nothing but band: like equilateral triangles of the spacing
         most = float(np.median(held_by_band / area))
     room = most * area - held_by_lattice
-    share = np.divide(room, held_by_band, out=np.ones_like(room), where=room < held_by_band)
+    share = np.divide(room, held_by_band, out=np.ones_like(room), where=(room < held_by_band) & (held_by_band > 0.0))
     share = np.maximum(share, _LEAST_SHARE)
     return np.asarray(share[pairs[lattice:]].min(axis=1))
 
