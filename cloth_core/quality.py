@@ -63,7 +63,7 @@ class Settings:
     rest_displacement: float = 0.0005
     rest_window: float = 0.1
     max_time: float = 20.0
-    settle_drag: float = 10.0
+    settle_drag: float = 2.0
 
     def __post_init__(self) -> None:
         for key, value in self.__dict__.items():

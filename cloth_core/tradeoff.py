@@ -50,7 +50,7 @@ DIALS: tuple[Dial, ...] = (
     Dial("contact", "contact_offset", (0.002, 0.005), (1000.0, "mm")),
     Dial("push", "push_speed", (0.25, 1.0), (1.0, "m/s")),
     Dial("rest", "rest_displacement", (0.002, 0.0002), (1000.0, "mm")),
-    Dial("drag", "settle_drag", (2.0, 8.0), (1.0, "1/s")),
+    Dial("drag", "settle_drag", (0.5, 8.0), (1.0, "1/s")),
     Dial("integrator", "integrator", tuple(name for name in INTEGRATORS if name != Settings().integrator)),
 )
 
