@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from cloth_core.calibration import Cloth, calibration
 from cloth_core.errors import SceneError
 
-__all__ = ["NOT_MEASURED", "QUALITIES", "Settings", "settings_for", "with_expected_error"]
+__all__ = ["INTEGRATORS", "NOT_MEASURED", "QUALITIES", "Settings", "settings_for", "with_expected_error"]
 
 # Particle spacing [m] of each quality.
 QUALITIES = {"draft": 0.025, "normal": 0.015, "fine": 0.010}
+
+INTEGRATORS = ("symplectic", "implicit")
 
 NOT_MEASURED = "not measured at these settings"
 
@@ -28,7 +30,9 @@ class Settings:
         tolerance: largest error asked for [m], if one was.
         expected_error: promised RMS distance to the reference drape of the source [m], None where nothing is measured.
         expected_error_source: where that promise comes from.
-        time_step: [s]; None takes `safety` times the stable one. A longer one than that is cut into sub-steps.
+        integrator: "symplectic" (Euler, explicit), or "implicit" for cloth that is very stiff (docs/integrators.md).
+        time_step: [s]; None takes `safety` times the stable one, for implicit steps 1/120 s, with a body 1/500 s.
+            A longer symplectic step than that is cut into sub-steps.
         safety: share of the stable time step that is used.
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
         cloth_offset: distance at which layers of cloth are held apart [m].
@@ -46,6 +50,7 @@ class Settings:
     tolerance: float | None = None
     expected_error: float | None = None
     expected_error_source: str = NOT_MEASURED
+    integrator: str = INTEGRATORS[0]
     time_step: float | None = None
     safety: float = 0.9
     contact_offset: float = 0.003
@@ -66,6 +71,10 @@ class Settings:
                 continue
             if not (math.isfinite(value) and value > 0.0):
                 raise SceneError(f"settings, {key}: {value!r} is not a positive number; give one in SI units")
+        if self.integrator not in INTEGRATORS:
+            raise SceneError(
+                f"settings, integrator: {self.integrator!r} is not known; use one of {', '.join(INTEGRATORS)}"
+            )
         if self.safety > 1.0:
             raise SceneError(f"settings, safety: {self.safety:g} is above 1, where no run is stable; use at most 1")
 

@@ -16,6 +16,8 @@ from cloth_core.coarse_start import Interpolation, interpolation_between, pushed
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
+from cloth_core.implicit_matrix import build_matrix
+from cloth_core.implicit_step import ImplicitState, implicit_steps
 from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
@@ -41,6 +43,11 @@ OnTick = Callable[["Simulation"], "bool | None"]
 SEWING, DRAPING, REST, FAILED = "sewing", "draping", "rest", "failed"
 
 _TICK_STEPS = 32
+# The same for implicit steps, and their length where none is asked for [s]: by itself, and with a body, on which longer
+# steps come to no rest.
+_IMPLICIT_TICK_STEPS = 1
+_IMPLICIT_STEP = 1.0 / 120.0
+_IMPLICIT_STEP_ON_BODY = 1.0 / 500.0
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
@@ -134,8 +141,11 @@ class Simulation:
         self._speed = 0.0
         self.grasps = Grasps()
         self._body_motion: BodyMotion | None = None
+        self._tick_steps = _TICK_STEPS if scene.settings.integrator == "symplectic" else _IMPLICIT_TICK_STEPS
         garment = scene.garment
         sewing = bool(scene_without(scene).garment.seams)
+        if sewing and scene.settings.integrator == "implicit":
+            raise SceneError("integrator 'implicit': it sews no seams; use 'symplectic', or a garment without seams")
         self._use(Model(scene, sewing=sewing), garment.start, np.zeros_like(garment.start))
         self.phase = SEWING if sewing else DRAPING
         self._wall += time.perf_counter() - began
@@ -186,7 +196,7 @@ class Simulation:
         Raises:
             SimulationError: the state would no longer be finite; the last good one is kept.
         """
-        self._run(_TICK_STEPS)
+        self._run(self._tick_steps)
 
     def advance(self, duration: float, on_tick: OnTick | None = None) -> None:
         """Simulate `duration` [s] of physical time; on_tick may return True to stop.
@@ -206,7 +216,7 @@ class Simulation:
                 self.time = end
                 return
             left = math.ceil((end - self.time) / self._dt - 1e-9)
-            self._run(min(_TICK_STEPS, left), last_time=end)
+            self._run(min(self._tick_steps, left), last_time=end)
             if on_tick is not None and on_tick(self):
                 return
 
@@ -385,10 +395,7 @@ class Simulation:
             if self.grasps:
                 self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * step)
             openness = self._openness()
-            did = run_steps(
-                self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step,
-                steps, openness, 1.0 / settings.closing_time,
-            )  # fmt: skip
+            did = self._steps(step, steps, openness)
             done += did
             self.time += did * step
             self.grasps.advance(did / steps)
@@ -419,6 +426,15 @@ class Simulation:
         if wall > 0.0:
             self._speed += 0.1 * ((self.time - before) / wall - self._speed)
 
+    def _steps(self, step: float, count: int, openness: float) -> int:
+        """Up to `count` steps of that length [s] by the scene's integrator; how many were done."""
+        arguments = (
+            self._x, self._v, self._work, self._moved, self._terms, self._contact_settings, self._contacts, step, count,
+        )  # fmt: skip
+        if self._implicit is not None:
+            return implicit_steps(*arguments, self._implicit)
+        return run_steps(*arguments, openness, 1.0 / self.scene.settings.closing_time)
+
     def _openness(self) -> float:
         """Share of its start length to which a seam's pull lets it close by now."""
         if self.phase != SEWING:
@@ -448,6 +464,10 @@ class Simulation:
         self._v[model.inverse_mass == 0.0] = 0.0
         self._v_before = self._v.copy()
         self._moved = np.zeros(len(self._x))
+        self._implicit: ImplicitState | None = None
+        if self.scene.settings.integrator == "implicit":
+            matrix = build_matrix(len(self._x), model.springs, model.bending)
+            self._implicit = ImplicitState.of(matrix, garment.spacing)
         model.soften(softness)
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
@@ -478,7 +498,10 @@ class Simulation:
         self._terms = self.model.force_terms(drag)
         longest = self.model.longest_step(self._stable)
         wanted = self.scene.settings.time_step
-        if wanted is None:
+        if self._implicit is not None:
+            usual = _IMPLICIT_STEP if self.scene.body is None else _IMPLICIT_STEP_ON_BODY
+            self._dt = usual if wanted is None else wanted
+        elif wanted is None:
             self._dt = longest
         else:
             self._dt = wanted / math.ceil(wanted / longest - 1e-9)
@@ -565,7 +588,7 @@ class Simulation:
         """
         before = self._v_before
         slower = ((self._v - before) * self._v).sum(axis=1) < 0.0
-        self._v[slower] *= math.exp(-_BRAKING * self._dt * _TICK_STEPS)
+        self._v[slower] *= math.exp(-_BRAKING * self._dt * self._tick_steps)
         # What turns round, or trembles because layers push it to and fro, stops.
         self._v[(before * self._v).sum(axis=1) < 0.0] = 0.0
         self._v_before = self._v.copy()

@@ -16,7 +16,7 @@ from cloth_core.convergence import Convergence, fit_convergence
 from cloth_core.drape_error import drape_error, motion_error
 from cloth_core.errors import ClothError, SimulationError
 from cloth_core.measured_run import MeasuredRun, RunRequest
-from cloth_core.quality import Settings
+from cloth_core.quality import INTEGRATORS, Settings
 from cloth_core.scene_recipe import SceneRecipe
 
 __all__ = ["DIALS", "Dial", "Plan", "SettingResult", "Tradeoff", "evaluate", "front", "plan_tradeoff"]
@@ -44,13 +44,14 @@ class Dial:
         return f"{factor * value:g} {unit}".strip() if isinstance(value, (int, float)) else str(value)
 
 
-# One line for each setting worth varying; a new integrator or solver is one more: its field, its values.
+# One line for each setting worth varying: its field, its values.
 DIALS: tuple[Dial, ...] = (
     Dial("safety", "safety", (0.5,)),
     Dial("contact", "contact_offset", (0.002, 0.005), (1000.0, "mm")),
     Dial("push", "push_speed", (0.25, 1.0), (1.0, "m/s")),
     Dial("rest", "rest_displacement", (0.002, 0.0002), (1000.0, "mm")),
     Dial("drag", "settle_drag", (0.5, 8.0), (1.0, "1/s")),
+    Dial("integrator", "integrator", tuple(name for name in INTEGRATORS if name != Settings().integrator)),
 )
 
 SPACINGS = (0.04, 0.03, 0.025, 0.02, 0.015, 0.0125, 0.01)

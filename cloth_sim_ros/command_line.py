@@ -300,7 +300,8 @@ def recover(broken: str, output: Path) -> None:
 @click.option(
     "--vary",
     metavar="NAME,...",
-    help="Settings to vary besides the spacing: safety, contact, push, rest, drag; 'none' for none.  [default: all]",
+    help="Settings to vary besides the spacing: safety, contact, push, rest, drag, integrator; 'none' for none.  "
+    "[default: all]",
 )
 @click.option("--processes", type=click.IntRange(1, 1024), help="Runs at once.  [default: one for each core]")
 def tradeoff(patterns: tuple[str, ...], **options: Any) -> None:

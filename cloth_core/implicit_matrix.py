@@ -1,0 +1,174 @@
+"""The matrix of an implicit step, M + h D + h^2 K: what each spring and each bending element adds to it.
+
+K and D are the derivatives of the forces by place and velocity at the positions at hand. Where a spring is compressed,
+the part of its stiffness across it is negative and left out, so that the matrix is positive definite at any h (Choi and
+Ko 2002); what the forces are is not touched by that, only how fast Newton's method gets there.
+
+The strain limit is a much stiffer spring beyond it, which the matrix holds as any other.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.bending import Bending
+from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.sparse_cholesky import SparseCholesky, analyse
+from cloth_core.springs import Springs
+from cloth_core.step import ForceTerms
+
+__all__ = ["ImplicitMatrix", "assemble", "build_matrix", "limit_forces"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# Squared distance [m^2] below which two particles have no direction from one to the other.
+_COINCIDENT = 1e-24
+# How many times stiffer a spring is beyond its strain limit: implicit steps take that as it is, without impulses.
+_STIFFER = 100.0
+
+
+class ImplicitMatrix(NamedTuple):
+    """Places of all elements in the matrix.
+
+    Attributes:
+        links: pairs of particles that anything connects, (l, 2).
+        bend, bend_own: what bending, whose stiffness is constant, adds to each link (l,) and particle (n,) [N/m].
+        spring_link: link of each spring, (s,).
+        rest_length, stiffness: of the springs [m, N/m], (s,).
+        factors: of the matrix.
+    """
+
+    links: Ints
+    bend: Floats
+    bend_own: Floats
+    spring_link: Ints
+    rest_length: Floats
+    stiffness: Floats
+    factors: SparseCholesky
+
+
+def build_matrix(particles: int, springs: Springs, bending: Bending | None) -> ImplicitMatrix:
+    """Find the places of all elements."""
+    own = np.zeros(particles)
+    pairs, bends = [springs.pairs], [np.zeros(len(springs))]
+    if bending is not None:
+        line_weights = np.tile([1.0, -2.0, 1.0], (len(bending.lines), 1))
+        for index, weights, stiffness in (
+            (bending.lines, line_weights, bending.line_stiffness),
+            (bending.hinges, bending.hinge_weights, bending.hinge_stiffness),
+        ):
+            for a in range(index.shape[1]):
+                own += np.bincount(index[:, a], weights=stiffness * weights[:, a] ** 2, minlength=particles)
+                for b in range(a):
+                    pairs.append(index[:, [a, b]])
+                    bends.append(stiffness * weights[:, a] * weights[:, b])
+    both = np.sort(np.concatenate(pairs), axis=1).astype(np.int64)
+    key, link = np.unique(both[:, 0] * particles + both[:, 1], return_inverse=True)
+    links = np.stack([key // particles, key % particles], axis=1).astype(np.int32)
+    return ImplicitMatrix(
+        links=links,
+        bend=np.bincount(link, weights=np.concatenate(bends), minlength=len(key)).astype(np.float64),
+        bend_own=own,
+        spring_link=link[: len(springs)].astype(np.int32),
+        rest_length=springs.rest_length,
+        stiffness=springs.stiffness,
+        factors=analyse(particles, links),
+    )
+
+
+@kernel
+def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> None:
+    """Write M + h D + h^2 K at positions x (n, 3) [m] into the room of the factors; h [s].
+
+    What is held has a row and a column of the unit matrix.
+    """
+    factors = matrix.factors
+    values = factors.values
+    values[:] = 0.0
+    inverse_mass = terms.inverse_mass
+    scale = h * h + h * terms.bending_damping_time
+    for i in range(inverse_mass.shape[0]):
+        own = 1.0
+        if inverse_mass[i] > 0.0:
+            own = terms.mass[i] * (1.0 + h * terms.air_drag) + scale * matrix.bend_own[i]
+        _add(values, factors.diagonal[i], factors.diagonal_stride[i], own)
+    for k in range(matrix.links.shape[0]):
+        i, j = matrix.links[k, 0], matrix.links[k, 1]
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            _add(values, factors.off_diagonal[k], factors.off_diagonal_stride[k], scale * matrix.bend[k])
+    limited = terms.strain_limit.longest.shape[0] > 0
+    for s in range(matrix.spring_link.shape[0]):
+        i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        squared = dx * dx + dy * dy + dz * dz
+        if squared < _COINCIDENT:
+            continue
+        length = np.sqrt(squared)
+        across = max(1.0 - matrix.rest_length[s] / length, 0.0)
+        along = 1.0 - across
+        if limited and length > terms.strain_limit.longest[s]:
+            beyond = 1.0 - terms.strain_limit.longest[s] / length
+            across += _STIFFER * beyond
+            along += _STIFFER * (1.0 - beyond)
+        along = (along * h * h + terms.spring_damping_time * h) * matrix.stiffness[s] / squared
+        _add_pair(matrix, inverse_mass, matrix.spring_link[s], i, j, across * h * h * matrix.stiffness[s], along,
+                  dx, dy, dz)  # fmt: skip
+
+
+@kernel
+def limit_forces(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, force: Floats) -> None:
+    """Add the additional pull of springs beyond their strain limit; x (n, 3) [m], force (3, n) [N]."""
+    for s in range(terms.strain_limit.longest.shape[0]):
+        i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        squared = dx * dx + dy * dy + dz * dz
+        longest = terms.strain_limit.longest[s]
+        if squared > longest * longest:
+            pull = _STIFFER * matrix.stiffness[s] * (1.0 - longest / np.sqrt(squared))
+            for axis, d in ((0, dx), (1, dy), (2, dz)):
+                force[axis, i] += pull * d
+                force[axis, j] -= pull * d
+
+
+@kernel
+def _add_pair(
+    matrix: ImplicitMatrix, inverse_mass: Floats, link: int, i: int, j: int,
+    across: float, along: float, dx: float, dy: float, dz: float,
+) -> None:  # fmt: skip
+    """Add the block across 1 + along d d' of an element between i and j, d = (dx, dy, dz)."""
+    factors = matrix.factors
+    ex, ey, ez = along * dx, along * dy, along * dz
+    free = 0
+    for k in (i, j):
+        if inverse_mass[k] > 0.0:
+            free += 1
+            at, stride = factors.diagonal[k], factors.diagonal_stride[k]
+            _add(factors.values, at, stride, across)
+            _add_outer(factors.values, at, stride, ex, ey, ez, dx, dy, dz)
+    if free == 2:
+        at, stride = factors.off_diagonal[link], factors.off_diagonal_stride[link]
+        _add(factors.values, at, stride, -across)
+        _add_outer(factors.values, at, stride, -ex, -ey, -ez, dx, dy, dz)
+
+
+@inlined_kernel
+def _add(values: Floats, at: int, stride: int, own: float) -> None:
+    """Add own to the diagonal of a block."""
+    values[at] += own
+    values[at + stride + 1] += own
+    values[at + 2 * stride + 2] += own
+
+
+@inlined_kernel
+def _add_outer(
+    values: Floats, at: int, stride: int, ex: float, ey: float, ez: float, dx: float, dy: float, dz: float
+) -> None:
+    """Add e d', which is symmetric, to a block."""
+    for column, e in ((at, ex), (at + stride, ey), (at + 2 * stride, ez)):
+        values[column] += e * dx
+        values[column + 1] += e * dy
+        values[column + 2] += e * dz
