@@ -252,7 +252,7 @@ def test_two_parts_together_may_never_travel_as_far_as_they_are_apart(seed, unev
     garment = sheet(0.16, 0.16, 0.02)
     x = crumpled(garment, seed)
     contact = Contact(garment.triangles, None, search_of(garment), radius=0.006)
-    for _ in range(12):
+    for _ in range(36):
         reach = 0.006 * (rng.uniform(size=len(x)) if uneven else 1.0)
         found = contact.search(x, reach)
         travel = found.travel
@@ -274,5 +274,5 @@ def test_two_parts_together_may_never_travel_as_far_as_they_are_apart(seed, unev
         x = x + way
         keep_within_travel(x, np.zeros_like(x), found, np.zeros(len(x)))
         assert (np.linalg.norm(x - found.origin, axis=1) <= travel * (1 + 1e-12)).all()
-    assert contact.narrow_phases == 12
-    assert 1 < contact.broad_phases < 12
+    assert contact.narrow_phases == 36
+    assert 1 < contact.broad_phases < 36
