@@ -16,6 +16,7 @@ from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.layering import separate_panels
+from cloth_core.limb_room import with_room_for_limbs
 from cloth_core.pattern import Pattern
 from cloth_core.pattern_layers import layers_of
 from cloth_core.placement import below_body_warnings, clear_of_body
@@ -132,7 +133,7 @@ class Scene:
         apart = separate_panels(garment, layers, _PANEL_GAP)
         if body is not None and apart is not garment:
             apart = clear_of_body(apart, body, chosen.contact_offset)
-        garment = apart if body is None else brought_near(apart, body)
+        garment = apart if body is None else with_room_for_limbs(brought_near(apart, body), body)
         return cls(
             garment=garment,
             fabric=fabric,
