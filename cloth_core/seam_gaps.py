@@ -31,13 +31,16 @@ class ClosingSeams:
     Attributes:
         triangles: as given.
         gaps: triangles that fill the seams, (k, 3).
+        gap_seam: number of the seam that each of them fills, (k,).
         number: of the point that each particle counts as, (n,).
         neighbours: of these points, see `point_neighbours`.
     """
 
     def __init__(self, garment: Garment, triangles: Ints, distance: float) -> None:
         self.triangles = triangles
-        self.gaps = seam_gap_triangles(garment.seams)
+        filled = [seam_gap_triangles((seam,)) for seam in garment.seams]
+        self.gaps = np.concatenate(filled)
+        self.gap_seam = np.repeat(np.arange(len(filled)), [len(gaps) for gaps in filled])
         self._distance = distance
         self._first = np.concatenate([seam.first for seam in garment.seams])
         self._second = np.concatenate([seam.second for seam in garment.seams])

@@ -29,8 +29,9 @@ Ints = NDArray[np.int32]
 
 # Neighbours are held apart at this share of the lowest height of the triangles around them.
 _NEIGHBOUR_SHARE = 0.3
-# Points that are to be sewn together have met when they are nearer than this many offsets.
-_MET = 3.0
+# Points that are to be sewn together count as one when they are nearer than this [m]. Farther away their surroundings
+# must not pass through each other; nearer they must be able to, where four panels meet in one point from all sides.
+_MET = 0.1
 # Gaps of seams that were crossed are looked at again after so many searches: the way may be free by then.
 _GAP_SEARCHES = 10
 # Pairs of triangles whose boxes overlap, in all and for each triangle: about a dozen in one layer, and as many for each
@@ -53,6 +54,9 @@ class SelfContact:
         self.offset = offset
         self._room = _NEIGHBOUR_SHARE * height
         self._closing: ClosingSeams | None = None
+        # Of the gaps that are in: which seam each fills; and seams whose gaps are kept apart from each other's.
+        self._gap_seam = np.zeros(0, dtype=np.int64)
+        self._gaps_apart: NDArray[np.bool_] = np.zeros((0, 0), dtype=np.bool_)
         self._searches = 0
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
         self._use(np.ascontiguousarray(triangles, dtype=np.int32))
@@ -77,7 +81,7 @@ class SelfContact:
         np.minimum.at(height, triangles.ravel(), np.repeat(2.0 * garment.areas / longest, 3))
         contact = cls(triangles, identity, height, offset)
         if sewing and garment.seams:
-            contact._closing = ClosingSeams(garment, triangles, _MET * offset)
+            contact._closing = ClosingSeams(garment, triangles, _MET)
             contact._let_gaps_in(garment.start)
         return contact
 
@@ -88,13 +92,36 @@ class SelfContact:
     def _let_gaps_in(self, x: Floats) -> None:
         """Take those gaps of the seams for cloth that have nothing to do with any at x (n, 3) [m]."""
         closing = self._closing
-        if closing is None or len(self.triangles) == len(closing.triangles) + len(closing.gaps):
+        if closing is None:
             return
+        if len(self._gap_seam) == len(closing.gaps):
+            if not self._gaps_apart.all():
+                self._keep_gaps_apart(x)
+            return
+        seams = int(closing.gap_seam.max(initial=-1)) + 1
+        self._gap_seam = closing.gap_seam
+        self._gaps_apart = np.zeros((seams, seams), dtype=np.bool_)
         self._use(np.concatenate([closing.triangles, closing.gaps]))
         rows, apart, distance = self._pairs_within(x, 0.0)
         free = closing.free_gaps(x, rows[distance < apart])
         if not free.all():
+            self._gap_seam = closing.gap_seam[free]
             self._use(np.concatenate([closing.triangles, closing.gaps[free]]))
+        self._keep_gaps_apart(x)
+
+    def _keep_gaps_apart(self, x: Floats) -> None:
+        """Gaps cannot pass through each other either, but for those of seams that are too near already at x (n, 3)."""
+        assert self._closing is not None
+        self._gaps_apart[:] = True
+        pairs = self._overlapping(x, 0.0)
+        pairs = pairs[(pairs >= len(self._closing.triangles)).all(axis=1)]
+        one, other = self._gap_seam[pairs.T - len(self._closing.triangles)]
+        group = np.minimum(one, other) * len(self._gaps_apart) + np.maximum(one, other)
+        for key in np.unique(group):
+            _, lengths = self._measured(x, np.ascontiguousarray(pairs[group == key]), 0.0)
+            if (lengths[:, 1] < lengths[:, 0]).any():
+                s, t = divmod(int(key), len(self._gaps_apart))
+                self._gaps_apart[s, t] = self._gaps_apart[t, s] = False
 
     def candidates(self, x: Floats, radius: float | Floats) -> tuple[Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
@@ -117,6 +144,19 @@ class SelfContact:
         return self._pairs_within(x, radius)
 
     def _pairs_within(self, x: Floats, radius: float | Floats) -> tuple[Ints, Floats, Floats]:
+        pairs = self._overlapping(x, radius)
+        if self._closing is not None:
+            gap = pairs - len(self._closing.triangles)
+            both: NDArray[np.bool_] = np.asarray((gap >= 0).all(axis=1))
+            keep: NDArray[np.bool_] = np.asarray(~both)
+            one, other = self._gap_seam[gap[both].T]
+            keep[both] = self._gaps_apart[one, other]
+            pairs = np.ascontiguousarray(pairs[keep])
+        rows, lengths = self._measured(x, pairs, radius)
+        return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
+
+    def _overlapping(self, x: Floats, radius: float | Floats) -> Ints:
+        """Pairs of triangles whose boxes overlap when they are enlarged by half of the offset and the radii, (p, 2)."""
         if self._tree is None:
             self._tree = build_tree(x, self.triangles)
         refit_tree(self._tree, x, self.triangles, 0.5 * self.offset + radius)
@@ -130,17 +170,18 @@ class SelfContact:
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
-        leaf_pairs = self._leaf_pairs[:found]
+        return self._leaf_pairs[:found]
+
+    def _measured(self, x: Floats, pairs: Ints, radius: float | Floats) -> tuple[Ints, Floats]:
+        """What is near in pairs of triangles (p, 2): rows (s, 7), and offsets and distances (s, 2) [m]."""
         number, neighbours = self.identity, self._neighbours
         if self._closing is not None:
             number, neighbours = self._closing.number, self._closing.neighbours
-            # Gaps keep cloth out, not each other.
-            leaf_pairs = leaf_pairs[(leaf_pairs < len(self._closing.triangles)).any(axis=1)]
         radii = np.ascontiguousarray(np.broadcast_to(radius, len(x)), dtype=np.float64)
         rows, lengths = _candidates(
-            x, self.triangles, self._representatives, number, *neighbours, self._room, leaf_pairs, self.offset, radii,
-        )  # fmt: skip
-        return rows, np.ascontiguousarray(lengths[:, 0]), np.ascontiguousarray(lengths[:, 1])
+            x, self.triangles, self._representatives, number, *neighbours, self._room, pairs, self.offset, radii
+        )
+        return rows, lengths
 
 
 @kernel
