@@ -31,7 +31,7 @@ Ints = NDArray[np.int32]
 _NEIGHBOUR_SHARE = 0.3
 # Points that are to be sewn together count as one when they are nearer than this [m]. Farther away their surroundings
 # must not pass through each other; nearer they must be able to, where four panels meet in one point from all sides.
-_MET = 0.1
+_MET = 0.3
 # Gaps of seams that were crossed are looked at again after so many searches: the way may be free by then.
 _GAP_SEARCHES = 10
 # Pairs of triangles whose boxes overlap, in all and for each triangle: about a dozen in one layer, and as many for each
@@ -54,7 +54,8 @@ class SelfContact:
         self.offset = offset
         self._room = _NEIGHBOUR_SHARE * height
         self._closing: ClosingSeams | None = None
-        # Of the gaps that are in: which seam each fills; and seams whose gaps are kept apart from each other's.
+        # Which gaps are in; which seam each of those fills; and seams whose gaps are kept apart from each other's.
+        self._gap_is_in: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
         self._gap_seam = np.zeros(0, dtype=np.int64)
         self._gaps_apart: NDArray[np.bool_] = np.zeros((0, 0), dtype=np.bool_)
         self._searches = 0
@@ -94,19 +95,21 @@ class SelfContact:
         closing = self._closing
         if closing is None:
             return
-        if len(self._gap_seam) == len(closing.gaps):
+        if self._gap_is_in.all() and len(self._gap_is_in) == len(closing.gaps):
             if not self._gaps_apart.all():
                 self._keep_gaps_apart(x)
             return
         seams = int(closing.gap_seam.max(initial=-1)) + 1
+        before = self._gap_is_in if len(self._gap_is_in) else np.zeros(len(closing.gaps), dtype=np.bool_)
         self._gap_seam = closing.gap_seam
         self._gaps_apart = np.zeros((seams, seams), dtype=np.bool_)
         self._use(np.concatenate([closing.triangles, closing.gaps]))
         rows, apart, distance = self._pairs_within(x, 0.0)
-        free = closing.free_gaps(x, rows[distance < apart])
-        if not free.all():
-            self._gap_seam = closing.gap_seam[free]
-            self._use(np.concatenate([closing.triangles, closing.gaps[free]]))
+        # What is in stays in: cloth that touches it is what it is there for.
+        self._gap_is_in = before | closing.free_gaps(x, rows[distance < apart])
+        if not self._gap_is_in.all():
+            self._gap_seam = closing.gap_seam[self._gap_is_in]
+            self._use(np.concatenate([closing.triangles, closing.gaps[self._gap_is_in]]))
         self._keep_gaps_apart(x)
 
     def _keep_gaps_apart(self, x: Floats) -> None:
