@@ -65,6 +65,8 @@ class SeamClosing:
         gaps = seam_gaps(scene.garment, x)
         widest, before = max(gaps.values()), self._widest_gap
         self._widest_gap = widest
+        if model.contact is not None and model.contact.cloth is not None:
+            model.contact.cloth.gaps_may_leave = widest >= _STALLED * before
         late = sewn_for >= settings.sewing_time
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None

@@ -47,12 +47,17 @@ class SelfContact:
         identity: what each particle becomes once everything is sewn, (n,): equal numbers are one point.
         height: the lowest height of the rest triangles around each particle [m], shape (n,).
         offset: distance at which layers are held apart [m].
+
+    Attributes:
+        gaps_may_leave: whether gaps of seams that cloth touches count as cloth no longer: they may be what holds a seam
+            open that comes no nearer.
     """
 
     def __init__(self, triangles: Ints, identity: Ints, height: Floats, offset: float) -> None:
         self.identity = np.ascontiguousarray(identity, dtype=np.int32)
         self.offset = offset
         self._room = _NEIGHBOUR_SHARE * height
+        self.gaps_may_leave = False
         self._closing: ClosingSeams | None = None
         # Which gaps are in; which seam each of those fills; and seams whose gaps are kept apart from each other's.
         self._gap_is_in: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
@@ -95,17 +100,19 @@ class SelfContact:
         closing = self._closing
         if closing is None:
             return
-        if self._gap_is_in.all() and len(self._gap_is_in) == len(closing.gaps):
+        if self._gap_is_in.all() and len(self._gap_is_in) == len(closing.gaps) and not self.gaps_may_leave:
             if not self._gaps_apart.all():
                 self._keep_gaps_apart(x)
             return
         seams = int(closing.gap_seam.max(initial=-1)) + 1
-        before = self._gap_is_in if len(self._gap_is_in) else np.zeros(len(closing.gaps), dtype=np.bool_)
+        before = self._gap_is_in
+        if self.gaps_may_leave or len(before) == 0:
+            before = np.zeros(len(closing.gaps), dtype=np.bool_)
         self._gap_seam = closing.gap_seam
         self._gaps_apart = np.zeros((seams, seams), dtype=np.bool_)
         self._use(np.concatenate([closing.triangles, closing.gaps]))
         rows, apart, distance = self._pairs_within(x, 0.0)
-        # What is in stays in: cloth that touches it is what it is there for.
+        # What is in stays in else: cloth that touches it is what it is there for.
         self._gap_is_in = before | closing.free_gaps(x, rows[distance < apart])
         if not self._gap_is_in.all():
             self._gap_seam = closing.gap_seam[self._gap_is_in]
