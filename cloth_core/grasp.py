@@ -266,6 +266,8 @@ class _Springs:
 
 def _springs_at(model: Model, held: Ints) -> _Springs:
     pairs, longest = model.springs.pairs, model.strain_limit.longest
+    if len(longest) == 0:  # the limit is switched off: nothing holds a gripper back
+        longest = np.full(len(pairs), np.inf)
     place = np.full(model.particle_count, -1, dtype=np.int32)
     place[held] = np.arange(len(held))
     ends = place[pairs] >= 0

@@ -150,6 +150,17 @@ def test_two_grippers_do_not_tear_the_cloth():
     assert simulation._largest_speed() < 5.0
 
 
+def test_a_gripper_holds_cloth_whose_strain_limit_is_switched_off():
+    simulation = Simulation(replace(scene(), without=("strain limit",)))
+    held = corner(simulation, 0.15, 0.15)
+    before = simulation.positions[held]
+    simulation.grasp("left", held, Pose.of([0.15, 0.15, 0.2]))
+    simulation.move_grasp("left", Pose.of([0.15, 0.15, 0.3]))
+    simulation.advance(1.0)
+    assert simulation.grasps.describe()["left"]["arrived"]
+    np.testing.assert_allclose(simulation.positions[held], before + np.array([0.0, 0.0, 0.1]), atol=1e-6)
+
+
 def test_a_held_particle_is_not_taken_by_another_gripper():
     simulation = Simulation(scene())
     held = corner(simulation, 0.15, 0.15)
