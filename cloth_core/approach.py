@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from cloth_core.aabb_tree import AabbTree, build_tree
 from cloth_core.body import Body
 from cloth_core.garment import Garment
-from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.mesh_distance import distances_to_mesh
+from cloth_core.placement import crosses_more
 
 __all__ = ["brought_near"]
 
@@ -75,7 +75,7 @@ def brought_near(garment: Garment, body: Body) -> Garment:
     start = garment.start.copy()
     for k, part in enumerate(parts):
         start[garment.panel_of_particle == k] = part.x
-    if (start == garment.start).all() or _crosses_more(garment, start, body):
+    if (start == garment.start).all() or crosses_more(garment, start, body):
         return garment
     return replace(garment, start=start)
 
@@ -158,10 +158,3 @@ def _groups(garment: Garment, parts: list[_Part]) -> list[list[int]]:
             if parts[a].distance_to(parts[b], _TOGETHER) < _TOGETHER:
                 of = [of[b] if k == of[a] else k for k in of]
     return [[k for k, group in enumerate(of) if group == g] for g in sorted(set(of))]
-
-
-def _crosses_more(garment: Garment, start: Floats, body: Body) -> bool:
-    """Whether anything crosses at start (n, 3) [m] that did not before: sides may be nearer than any corner."""
-    triangles, number = garment.triangles, garment.merged_indices
-    before, after = (len(self_crossing_edges(x, triangles, number)) for x in (garment.start, start))
-    return after > before or len(crossing_edges(start, triangles, body.vertices, body.triangles, body.tree)) > 0

@@ -57,7 +57,6 @@ class ImplicitState(NamedTuple):
         push: mean force of contact and its friction on each particle in the last steps [N], (n, 3).
         trial_x, trial_v, base_x, base_v: scratch, (n, 3).
         unknowns: scratch, (3 n,).
-        factorised: number of matrices factorised so far, (1,).
     """
 
     matrix: ImplicitMatrix
@@ -73,7 +72,6 @@ class ImplicitState(NamedTuple):
     base_x: Floats
     base_v: Floats
     unknowns: Floats
-    factorised: NDArray[np.int64]
 
     @classmethod
     def of(cls, matrix: ImplicitMatrix, spacing: float) -> ImplicitState:
@@ -86,7 +84,7 @@ class ImplicitState(NamedTuple):
         )
         return cls(
             matrix, np.array([tolerance]), before_x, before_v, last_x, last_v, np.zeros(1), push, trial_x, trial_v,
-            base_x, base_v, np.zeros(3 * n), np.zeros(1, dtype=np.int64),
+            base_x, base_v, np.zeros(3 * n),
         )  # fmt: skip
 
 
@@ -209,7 +207,6 @@ def _newton(work: Workspace, terms: ForceTerms, h: float, state: ImplicitState) 
     trial_x, trial_v, base_x, base_v = state.trial_x, state.trial_v, state.base_x, state.base_v
     factors, y = state.matrix.factors, state.unknowns
     assemble(state.matrix, trial_x, terms, h)
-    state.factorised[0] += 1
     if not factorise(factors):
         return np.inf
     total_force(trial_x, trial_v, terms, 0.0, work)

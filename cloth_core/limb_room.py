@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from cloth_core.body import Body
 from cloth_core.garment import Garment, Seam
-from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.intersections import crossing_edges
+from cloth_core.placement import crosses_more
 
 __all__ = ["with_room_for_limbs"]
 
@@ -104,8 +105,4 @@ def _blocked(x: Floats, lines: Ints, body: Body) -> int:
 
 def _moved(garment: Garment, own: NDArray[np.bool_], way: Floats, body: Body) -> Garment:
     start = garment.start + np.outer(own, way)
-    triangles, number = garment.triangles, garment.merged_indices
-    before, after = (len(self_crossing_edges(x, triangles, number)) for x in (garment.start, start))
-    if after > before or len(crossing_edges(start, triangles, body.vertices, body.triangles, body.tree)) > 0:
-        return garment
-    return replace(garment, start=start)
+    return garment if crosses_more(garment, start, body) else replace(garment, start=start)

@@ -12,10 +12,10 @@ from cloth_core.aabb_tree import build_tree
 from cloth_core.body import Body
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
-from cloth_core.intersections import crossing_edges
+from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.mesh_distance import distances_to_mesh
 
-__all__ = ["below_body_warnings", "clear_of_body"]
+__all__ = ["below_body_warnings", "clear_of_body", "crosses_more"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -75,6 +75,13 @@ def below_body_warnings(garment: Garment, body: Body) -> tuple[str, ...]:
         f"{100.0 * share:.0f} % of the garment starts below body '{body.name}', up to {lowest - height.min():.2f} m "
         "below its lowest point; if the pattern has its origin elsewhere, raise the panels' translations",
     )
+
+
+def crosses_more(garment: Garment, start: Floats, body: Body) -> bool:
+    """Whether anything crosses at start (n, 3) [m] that did not before: sides may be nearer than any corner."""
+    triangles, number = garment.triangles, garment.merged_indices
+    before, after = (len(self_crossing_edges(x, triangles, number)) for x in (garment.start, start))
+    return after > before or len(crossing_edges(start, triangles, body.vertices, body.triangles, body.tree)) > 0
 
 
 def _shifts(sewn: bool) -> Iterator[float]:

@@ -595,7 +595,7 @@ class Simulation:
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""
-        growth = (1.0 / _SOFTNESS) ** (self._dt * _TICK_STEPS / _STIFFENING_TIME)
+        growth = (1.0 / _SOFTNESS) ** (self._dt * self._tick_steps / _STIFFENING_TIME)
         self.model.soften(self.model.softness * growth)
         self._refresh_time_step()
         self._open_window()

@@ -202,6 +202,12 @@ def test_gaps_that_cloth_crosses_wait_until_it_is_gone():
     for _ in range(30):
         search.candidates(x, 0.01)
     assert len(search.triangles) == cloth + gaps
+    # From then on they stay, whatever comes there, unless their seam comes no nearer.
+    for may_leave, left in ((False, gaps), (True, gaps // 2)):
+        search.gaps_may_leave = may_leave
+        for _ in range(30):
+            search.candidates(garment.start, 0.01)
+        assert len(search.triangles) == cloth + left
 
 
 def test_offset_is_less_only_where_parts_are_neighbours():
