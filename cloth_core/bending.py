@@ -2,13 +2,14 @@
 
 The paper's bending springs have no stiffness at all in the flat state (their energy grows with the fourth power of the
 angle) and their effect vanishes as the grid is refined. This term does not: three particles in line resist by
-k |x- - 2 x0 + x+|^2 / 2 with k = B * width / spacing^3, and two triangles outside the grid (and across seams) by the
-quadratic hinge energy of Bergou et al. 2006. Both forces are linear in the positions.
+k |x- - 2 x0 + x+|^2 / 2 with k = B * width / spacing^3, cells against being twisted (`cloth_core.twist`), and two
+triangles outside the grid (and across seams) by the quadratic hinge energy of Bergou et al. 2006. All these forces are
+linear in the positions.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
 from cloth_core.lanes import LANES, add_to, fill, fused, last_lanes, load, store, take_from
 from cloth_core.runs import Runs, find_runs
+from cloth_core.twist import twist_stiffness
 
 __all__ = ["Bending", "bending_forces", "build_bending", "hinges"]
 
@@ -35,6 +37,8 @@ class Bending:
         hinges: two triangles' shared side and opposite corners, shape (h, 4).
         hinge_weights: shape (h, 4), dimensionless.
         hinge_stiffness: [N/m], shape (h,).
+        cells: corners of whole cells in turn, shape (q, 4), with weights (1, -1, 1, -1).
+        twist_stiffness: [N/m], shape (q,).
     """
 
     lines: Ints
@@ -42,13 +46,19 @@ class Bending:
     hinges: Ints
     hinge_weights: Floats
     hinge_stiffness: Floats
+    cells: Ints = field(default_factory=lambda: np.zeros((0, 4), dtype=np.int32))
+    twist_stiffness: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
-        return len(self.lines) + len(self.hinges)
+        return len(self.lines) + len(self.hinges) + len(self.cells)
 
     def line_runs(self) -> Runs:
         """The triples in line as runs with the value k [N/m]."""
         return find_runs(self.lines, self.line_stiffness[:, None])
+
+    def twist_runs(self) -> Runs:
+        """The cells as runs with the value k [N/m]."""
+        return find_runs(self.cells, self.twist_stiffness[:, None])
 
 
 def hinges(triangles: Ints) -> tuple[Ints, Ints]:
@@ -94,7 +104,15 @@ def build_bending(garment: Garment, fabric: Fabric, number: Ints) -> Bending:
     in_grid = garment.in_quad[sides].all(axis=1) & same_panel
     hinge, sides = hinge[~in_grid], sides[~in_grid]
     weights, hinge_stiffness = _hinge_elements(garment, hinge, sides, number, fabric.bending)
-    return Bending(np.asarray(number[line_index], dtype=np.int32), line_stiffness, hinge, weights, hinge_stiffness)
+    return Bending(
+        lines=np.asarray(number[line_index], dtype=np.int32),
+        line_stiffness=line_stiffness,
+        hinges=hinge,
+        hinge_weights=weights,
+        hinge_stiffness=hinge_stiffness,
+        cells=np.asarray(number[garment.quads], dtype=np.int32),
+        twist_stiffness=twist_stiffness(garment, fabric.bending),
+    )
 
 
 def _node_areas(garment: Garment) -> Floats:

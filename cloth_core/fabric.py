@@ -19,6 +19,7 @@ _RANGES = {
     "structural_warp": (1e-3, 1e8),
     "structural_weft": (1e-3, 1e8),
     "shear": (0.0, 1e8),
+    "shear_spring": (0.0, 1e8),
     "bending": (0.0, 1.0),
     "bending_spring": (0.0, 1e8),
     "damping_time": (0.0, 1.0),
@@ -40,9 +41,11 @@ class Fabric:
         name: of the preset, or free.
         area_density: mass per area [kg/m^2].
         structural_warp, structural_weft: spring stiffness along warp and weft [N/m]; does not depend on the spacing.
-        shear: stiffness of each diagonal [N/m]; it is the membrane's shear modulus.
+        shear: shear modulus of the membrane [N/m], as a trellis resists it (`cloth_core.trellis`).
         bending: bending stiffness [N m] (true bending, per unit width).
         bending_spring: stiffness of the paper's springs between particles two apart [N/m].
+        shear_spring: stiffness of the paper's springs along both diagonals of a cell [N/m]; it adds to the shear
+            modulus, and to the stiffness along warp and weft.
         damping_time: Kelvin-Voigt time of the springs [s]: a strain rate e' acts like a strain of damping_time * e'.
         bending_damping_time: the same of true bending [s].
         friction: Coulomb coefficient of the cloth on a body.
@@ -60,6 +63,7 @@ class Fabric:
     shear: float
     bending: float
     bending_spring: float = 0.0
+    shear_spring: float = 0.0
     damping_time: float = 1e-5
     bending_damping_time: float = 5e-3
     friction: float = 0.35
@@ -97,14 +101,19 @@ class Fabric:
 
     @property
     def smoothed(self) -> Fabric:
-        """The fabric with weak bending springs, whether it has any or not, for shapes that are only passed through.
+        """The fabric with the paper's springs for shear and bending, for shapes that are only passed through.
 
         They have no stiffness against slight bending, but on a coarse grid a lot against folds of the size of a cell:
         panels that are pulled together do not crumple, and a coarse drape has no creases across which a finer mesh
         would cut.
         """
         weaker = min(self.structural_warp, self.structural_weft)
-        return replace(self, bending_spring=max(self.bending_spring, _SMOOTHING * weaker))
+        return replace(
+            self,
+            bending_spring=max(self.bending_spring, _SMOOTHING * weaker),
+            shear=0.0,
+            shear_spring=self.shear + self.shear_spring,
+        )
 
 
 def fabric_presets() -> list[str]:

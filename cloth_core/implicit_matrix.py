@@ -1,8 +1,9 @@
-"""The matrix of an implicit step, M + h D + h^2 K: what each spring and each bending element adds to it.
+"""The matrix of an implicit step, M + h D + h^2 K: what springs, cells and bending elements add to it.
 
 K and D are the derivatives of the forces by place and velocity at the positions at hand. Where a spring is compressed,
 the part of its stiffness across it is negative and left out, so that the matrix is positive definite at any h (Choi and
-Ko 2002); what the forces are is not touched by that, only how fast Newton's method gets there.
+Ko 2002), as it is of a cell's diagonal that the cell pushes; what the forces are is not touched by that, only how fast
+Newton's method gets there.
 
 The strain limit is a much stiffer spring beyond it, which the matrix holds as any other.
 """
@@ -19,6 +20,7 @@ from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.sparse_cholesky import SparseCholesky, analyse
 from cloth_core.springs import Springs
 from cloth_core.step import ForceTerms
+from cloth_core.twist import TWIST_WEIGHTS
 
 __all__ = ["ImplicitMatrix", "assemble", "build_matrix", "limit_forces"]
 
@@ -27,6 +29,8 @@ Ints = NDArray[np.int32]
 
 # Squared distance [m^2] below which two particles have no direction from one to the other.
 _COINCIDENT = 1e-24
+# Corners between which a cell adds a block: sides, then diagonals.
+_CELL_LINKS = ((0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3))
 # How many times stiffer a spring is beyond its strain limit: implicit steps take that as it is, without impulses.
 _STIFFER = 100.0
 
@@ -39,6 +43,8 @@ class ImplicitMatrix(NamedTuple):
         bend, bend_own: what bending, whose stiffness is constant, adds to each link (l,) and particle (n,) [N/m].
         spring_link: link of each spring, (s,).
         rest_length, stiffness: of the springs [m, N/m], (s,).
+        cells: corners in turn of those that resist shear, (q, 4); cell_stiffness: how much [N/m], (q,).
+        cell_links: of the sides ab, bc, cd, da and the diagonals ac, bd of each cell, (q, 6).
         factors: of the matrix.
     """
 
@@ -48,11 +54,16 @@ class ImplicitMatrix(NamedTuple):
     spring_link: Ints
     rest_length: Floats
     stiffness: Floats
+    cells: Ints
+    cell_stiffness: Floats
+    cell_links: Ints
     factors: SparseCholesky
 
 
-def build_matrix(particles: int, springs: Springs, bending: Bending | None) -> ImplicitMatrix:
-    """Find the places of all elements."""
+def build_matrix(
+    particles: int, springs: Springs, bending: Bending | None, trellis: Ints, trellis_stiffness: Floats
+) -> ImplicitMatrix:
+    """Find the places of all elements; trellis (q, 4): cells that resist shear, trellis_stiffness (q,) [N/m]."""
     own = np.zeros(particles)
     pairs, bends = [springs.pairs], [np.zeros(len(springs))]
     if bending is not None:
@@ -60,13 +71,17 @@ def build_matrix(particles: int, springs: Springs, bending: Bending | None) -> I
         for index, weights, stiffness in (
             (bending.lines, line_weights, bending.line_stiffness),
             (bending.hinges, bending.hinge_weights, bending.hinge_stiffness),
+            (bending.cells, np.tile(TWIST_WEIGHTS, (len(bending.cells), 1)), bending.twist_stiffness),
         ):
             for a in range(index.shape[1]):
                 own += np.bincount(index[:, a], weights=stiffness * weights[:, a] ** 2, minlength=particles)
                 for b in range(a):
                     pairs.append(index[:, [a, b]])
                     bends.append(stiffness * weights[:, a] * weights[:, b])
-    both = np.sort(np.concatenate(pairs), axis=1).astype(np.int64)
+    sides = [trellis[:, ends] for ends in _CELL_LINKS]
+    both = np.sort(np.concatenate([*pairs, *sides]), axis=1).astype(np.int64)
+    unbent = len(both) - sum(len(b) for b in bends)
+    bends.append(np.zeros(unbent))
     key, link = np.unique(both[:, 0] * particles + both[:, 1], return_inverse=True)
     links = np.stack([key // particles, key % particles], axis=1).astype(np.int32)
     return ImplicitMatrix(
@@ -76,6 +91,9 @@ def build_matrix(particles: int, springs: Springs, bending: Bending | None) -> I
         spring_link=link[: len(springs)].astype(np.int32),
         rest_length=springs.rest_length,
         stiffness=springs.stiffness,
+        cells=trellis,
+        cell_stiffness=trellis_stiffness,
+        cell_links=np.ascontiguousarray(link[len(link) - unbent :].reshape(len(sides), -1).T, dtype=np.int32),
         factors=analyse(particles, links),
     )
 
@@ -117,6 +135,11 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> 
         along = (along * h * h + terms.spring_damping_time * h) * matrix.stiffness[s] / squared
         _add_pair(matrix, inverse_mass, matrix.spring_link[s], i, j, across * h * h * matrix.stiffness[s], along,
                   dx, dy, dz)  # fmt: skip
+    along = 0.5 * (h * h + h * terms.spring_damping_time)
+    direction = np.zeros((4, 3))
+    for s in range(matrix.cells.shape[0]):
+        _add_cell(matrix, inverse_mass, x, s, along * matrix.cell_stiffness[s], 0.5 * h * h * matrix.cell_stiffness[s],
+                  direction)  # fmt: skip
 
 
 @kernel
@@ -153,6 +176,45 @@ def _add_pair(
         at, stride = factors.off_diagonal[link], factors.off_diagonal_stride[link]
         _add(factors.values, at, stride, -across)
         _add_outer(factors.values, at, stride, -ex, -ey, -ez, dx, dy, dz)
+
+
+@kernel
+def _add_cell(
+    matrix: ImplicitMatrix, inverse_mass: Floats, x: Floats, s: int, along: float, pull: float, direction: Floats
+) -> None:
+    """Add along g g' of cell s, g the way in which its corners change the difference of its diagonals, and what pulled
+    diagonals resist across them: pull times that difference over their length. direction (4, 3) is scratch.
+    """
+    factors, corner, links = matrix.factors, matrix.cells[s], matrix.cell_links[s]
+    lengths = np.empty(2)
+    for diagonal in range(2):
+        i, j = corner[diagonal], corner[diagonal + 2]
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        lengths[diagonal] = length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if length * length < _COINCIDENT:
+            return
+        sign = 1.0 if diagonal == 0 else -1.0
+        direction[diagonal + 2, 0], direction[diagonal + 2, 1] = sign * dx / length, sign * dy / length
+        direction[diagonal + 2, 2] = sign * dz / length
+        direction[diagonal] = -direction[diagonal + 2]
+    for diagonal in range(2):
+        difference = lengths[0] - lengths[1] if diagonal == 0 else lengths[1] - lengths[0]
+        across = pull * max(difference, 0.0) / lengths[diagonal]
+        i, j, d = corner[diagonal], corner[diagonal + 2], direction[diagonal]
+        _add_pair(matrix, inverse_mass, links[4 + diagonal], i, j, across, along - across, d[0], d[1], d[2])
+    for side in range(4):
+        p, q = side, (side + 1) % 4
+        i, j = corner[p], corner[q]
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            # The rows of a block belong to the particle that is eliminated later.
+            row, column = (direction[p], direction[q]) if factors.place[i] > factors.place[j] else (
+                direction[q], direction[p]
+            )  # fmt: skip
+            at, stride = factors.off_diagonal[links[side]], factors.off_diagonal_stride[links[side]]
+            for k in range(3):
+                e = along * column[k]
+                for axis in range(3):
+                    factors.values[at + k * stride + axis] += e * row[axis]
 
 
 @inlined_kernel

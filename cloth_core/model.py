@@ -13,6 +13,7 @@ from cloth_core.contact import Contact, ContactSettings
 from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.kernel import kernel
+from cloth_core.runs import find_runs
 from cloth_core.scene import Scene
 from cloth_core.self_contact import SelfContact
 from cloth_core.sewing import SeamPull, build_seam_pull
@@ -21,6 +22,8 @@ from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
 from cloth_core.strain_limit import build_strain_limit, no_strain_limit
 from cloth_core.switched_off import marked_off, scene_without
+from cloth_core.trellis import add_trellis_stiffness, trellis_rows, trellis_stiffness
+from cloth_core.twist import twist_forces
 
 __all__ = ["Model", "Term"]
 
@@ -70,6 +73,7 @@ class Model:
         triangles: in model particles, shape (m, 3).
         softness: what the structural springs' stiffness is multiplied by, 1 unless a run looks for rest.
         springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
+        trellis, trellis_stiffness: cells that resist shear as such, shape (q, 4), and how much [N/m], shape (q,).
         terms: all terms, with the reason why each is there or not.
     """
 
@@ -96,12 +100,17 @@ class Model:
         self._fabric = fabric
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
         self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
+        cells = garment.quads[: len(garment.quads) if fabric.shear > 0.0 else 0]
+        self.trellis: Ints = np.asarray(self.number[cells], dtype=np.int32)
+        self.trellis_stiffness: Floats = trellis_stiffness(garment, fabric.shear)[: len(cells)]
+        self._trellis_runs = find_runs(self.trellis, self.trellis_stiffness[:, None])
         self.softness = 1.0
         self._stiffness = self.springs.stiffness
         self._soft_stiffness: Floats | None = None
         self._runs = self.springs.runs(self._stiffness)
         self._spring_runs = self._runs.mixed(1.0)
-        self._line_runs = (_NO_BENDING if self.bending is None else self.bending).line_runs()
+        bending = _NO_BENDING if self.bending is None else self.bending
+        self._line_runs, self._twist_runs = bending.line_runs(), bending.twist_runs()
         self.seam_pull: SeamPull | None = (
             build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
         )
@@ -130,7 +139,7 @@ class Model:
         """
         garment, fabric = self.scene.garment, self._fabric
         weakest = min(fabric.structural_warp, fabric.structural_weft)
-        self.softness = softness = min(max(softness, 2.0 * fabric.shear / weakest), 1.0)
+        self.softness = softness = min(max(softness, 2.0 * (fabric.shear + fabric.shear_spring) / weakest), 1.0)
         if softness < 1.0 and self._soft_stiffness is None:
             # Stiffness is linear in the fabric's: between none and all of the structural one everything is a mixture.
             soft = replace(fabric, structural_warp=_NEXT_TO_NONE, structural_weft=_NEXT_TO_NONE)
@@ -157,7 +166,9 @@ class Model:
             air_drag=float(air_drag),
             springs=self._spring_runs,
             spring_damping_time=self.scene.fabric.damping_time,
+            trellis=self._trellis_runs,
             lines=self._line_runs,
+            twists=self._twist_runs,
             hinges=bend.hinges,
             hinge_weights=bend.hinge_weights,
             hinge_stiffness=bend.hinge_stiffness,
@@ -202,19 +213,23 @@ class Model:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
         terms = self.force_terms(air_drag)
         tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
-        rows = _spring_rows(x, self.springs.pairs, self.springs.rest_length, self._stiffness)
+        acts = self._stiffness > 0.0
+        pairs = self.springs.pairs[acts]
+        rows = _spring_rows(x, pairs, self.springs.rest_length[acts], self._stiffness[acts])
+        cells = trellis_rows(x, self.trellis, self.trellis_stiffness)
         axes, bends, scratch = (np.zeros((3, len(x) if self.bending is not None else 0)) for _ in range(3))
 
         def weighted(u: Floats, k: float, c: float) -> Floats:
             total = np.zeros_like(u)
-            _spring_stiffness(u, self.springs.pairs, rows, total)
-            total *= k + c * tau
+            _spring_stiffness(u, pairs, rows, k, k + c * tau, total)
+            add_trellis_stiffness(u, self.trellis, cells, k, k + c * tau, total)
             if self.bending is not None:
                 axes[:] = u.T
                 bends[:] = 0.0
                 bending_forces(
                     axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends, scratch
                 )
+                twist_forces(axes, terms.twists, bends, scratch)
                 bends[:] *= k + c * bending_tau
                 total -= bends.T
             if self.seam_pull is not None:
@@ -235,6 +250,7 @@ class Model:
     def _terms(self, closed: tuple[Seam, ...]) -> tuple[Term, ...]:
         scene, fabric = self.scene, self.scene.fabric
         smoothing = self._fabric.bending_spring > fabric.bending_spring
+        shear = fabric.shear + fabric.shear_spring
         count = {family: int((self.springs.family == family).sum()) for family in SpringFamily}
         heavy = any(scene.gravity)
         seams = scene.garment.seams
@@ -256,8 +272,9 @@ class Model:
                 f"{fabric.structural_warp:g} N/m along warp, {fabric.structural_weft:g} N/m along weft", "",
             ),
             term(
-                "shear springs", fabric.shear > 0.0, count[SpringFamily.SHEAR],
-                f"{fabric.shear:g} N/m", "the fabric has no shear stiffness",
+                "shear springs", shear > 0.0, count[SpringFamily.SHEAR],
+                f"{shear:g} N/m, " + ("by" if fabric.shear_spring > 0.0 else "by the difference of")
+                + " the two diagonals of a cell", "the fabric has no shear stiffness",
             ),
             term(
                 "bending springs", fabric.bending_spring > 0.0, 0 if smoothing else count[SpringFamily.BENDING],
@@ -308,10 +325,10 @@ _NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0),
 
 @kernel
 def _spring_rows(x: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats) -> NDArray[np.float32]:
-    """The stiffness matrix of each spring at x, c 1 + e e': c [N/m] and e (3) [(N/m)^(1/2)], shape (s, 4).
+    """The stiffness of each spring at x across it, c [N/m], and along it, e e', with e (3) [(N/m)^(1/2)], shape (s, 4).
 
-    It is k d d' along the spring and, where it is stretched, k (1 - L0 / L) across it. Single precision is a thousand
-    times finer than the estimate made with it, and takes half the room.
+    Along it that is k, across it k (1 - L0 / L) where it is stretched. Single precision is a thousand times finer than
+    the estimate made with it, and takes half the room.
     """
     rows = np.zeros((pairs.shape[0], 4), dtype=np.float32)
     for s in range(pairs.shape[0]):
@@ -320,21 +337,26 @@ def _spring_rows(x: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats)
         squared = dx * dx + dy * dy + dz * dz
         if squared < 1e-24:
             continue
-        across = max(1.0 - rest_length[s] / np.sqrt(squared), 0.0)
-        along = np.sqrt(stiffness[s] * (1.0 - across) / squared)
-        rows[s, 0] = stiffness[s] * across
+        rows[s, 0] = stiffness[s] * max(1.0 - rest_length[s] / np.sqrt(squared), 0.0)
+        along = np.sqrt(stiffness[s] / squared)
         rows[s, 1], rows[s, 2], rows[s, 3] = along * dx, along * dy, along * dz
     return rows
 
 
 @kernel
-def _spring_stiffness(u: Floats, pairs: Ints, rows: NDArray[np.float32], out: Floats) -> None:
-    """Add K u of all springs; rows (s, 4) as from _spring_rows, u and out (n, 3)."""
+def _spring_stiffness(
+    u: Floats, pairs: Ints, rows: NDArray[np.float32], across_weight: float, along_weight: float, out: Floats
+) -> None:
+    """Add K u of all springs, with weights across them and along them, where damping acts as well.
+
+    rows (s, 4) as from _spring_rows, u and out (n, 3).
+    """
     for s in range(pairs.shape[0]):
         i, j = pairs[s, 0], pairs[s, 1]
         ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
-        across, ex, ey, ez = rows[s, 0], rows[s, 1], rows[s, 2], rows[s, 3]
-        along = ex * ux + ey * uy + ez * uz
+        across, ex, ey, ez = across_weight * rows[s, 0], rows[s, 1], rows[s, 2], rows[s, 3]
+        own = max(ex * ex + ey * ey + ez * ez, 1e-30)
+        along = (along_weight - across / own) * (ex * ux + ey * uy + ez * uz)
         fx, fy, fz = across * ux + along * ex, across * uy + along * ey, across * uz + along * ez
         out[i, 0] -= fx
         out[i, 1] -= fy

@@ -456,7 +456,7 @@ class Simulation:
         self._moved = np.zeros(len(self._x))
         self._implicit: ImplicitState | None = None
         if self.scene.settings.integrator == "implicit":
-            matrix = build_matrix(len(self._x), model.springs, model.bending)
+            matrix = build_matrix(len(self._x), model.springs, model.bending, model.trellis, model.trellis_stiffness)
             self._implicit = ImplicitState.of(matrix, garment.spacing)
         model.soften(softness)
         self._contact_settings = model.contact_settings()

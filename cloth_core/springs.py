@@ -18,6 +18,7 @@ from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
 from cloth_core.lanes import LANES, add_to, fill, fused, inverse_root, last_lanes, load, store, take_from
 from cloth_core.runs import Runs, find_runs
+from cloth_core.trellis import trellis_stiffness
 from cloth_core.unique_rows import unique_rows
 
 __all__ = ["SpringFamily", "Springs", "build_springs", "spring_forces", "spring_strains"]
@@ -66,8 +67,12 @@ class Springs:
         return _combined(np.asarray(number[self.pairs], dtype=np.int32), self.rest_length, self.stiffness, self.family)
 
     def runs(self, soft_stiffness: Floats) -> MixedRuns:
-        """The springs as runs whose stiffness is a mixture of soft_stiffness (s,) [N/m] and their own."""
-        return MixedRuns(find_runs(self.pairs, np.stack([self.rest_length, soft_stiffness, self.stiffness], axis=1)))
+        """The springs as runs whose stiffness is a mixture of soft_stiffness (s,) [N/m] and their own, without those
+        that have none.
+        """
+        acts = (soft_stiffness > 0.0) | (self.stiffness > 0.0)
+        values = np.stack([self.rest_length, soft_stiffness, self.stiffness], axis=1)
+        return MixedRuns(find_runs(self.pairs[acts], values[acts]))
 
 
 @dataclass(frozen=True)
@@ -94,12 +99,16 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
     Structural and shear stiffness [N/m] of the grid do not depend on the spacing: a square cell has one structural
     spring per side (half of it from each cell) and both diagonals, which makes the membrane stiffness
     C11 = k_structural + k_shear and C12 = G = k_shear. Springs on the outline have half a cell and half the stiffness.
+
+    Diagonals have the stiffness of the fabric's `shear_spring`; none if it resists shear as a trellis alone. They are
+    listed all the same: their strain is what a report says of shear.
     """
     rest = garment.rest
     a, b, c, d = garment.quads.T
     width = rest[b, 0] - rest[a, 0]
     height = rest[d, 1] - rest[a, 1]
-    diagonal = fabric.shear * 2.0 * width * height / (width**2 + height**2)
+    shear = fabric.shear + fabric.shear_spring
+    diagonal = trellis_stiffness(garment, shear)
     pairs = [
         np.stack([a, b], 1),
         np.stack([d, c], 1),
@@ -123,7 +132,7 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
         structural = fabric.structural_weft * along_weft + fabric.structural_warp * (1.0 - along_weft)
         pairs.append(band[:, [i, j]])
         # One diagonal of a triangulated cell stands for the two of the grid; its area is half of its length squared.
-        stiffness.append(area / squared * (structural * (1.0 - diagonality) + 4.0 * fabric.shear * diagonality))
+        stiffness.append(area / squared * (structural * (1.0 - diagonality) + 4.0 * shear * diagonality))
         family.append(np.where(diagonality > 0.5, SpringFamily.SHEAR, SpringFamily.STRUCTURAL))
 
     if fabric.bending_spring > 0.0:
@@ -140,6 +149,8 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
     # In the order in which they were put together: lattice, band, bending.
     lattice, band_end = 6 * len(garment.quads), 6 * len(garment.quads) + 3 * len(band)
     all_stiffness[lattice:band_end] *= _band_shares(garment, all_pairs[:band_end], all_stiffness[:band_end], lattice)
+    if fabric.shear > 0.0:
+        all_stiffness[4 * len(garment.quads) : lattice] *= fabric.shear_spring / shear
     return _combined(all_pairs, length, all_stiffness, np.concatenate(family))
 
 

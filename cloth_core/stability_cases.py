@@ -155,7 +155,8 @@ def _single_terms() -> list[StabilityCase]:
     nothing = {"structural_warp": 1e-3, "structural_weft": 1e-3, "shear": 0.0}
     alone: dict[str, tuple[Fabric, float]] = {
         "structural springs": (_fabric(shear=0.0), 0.0),
-        "shear springs": (_fabric(**(nothing | {"shear": 100.0})), 0.0),
+        "shear of cells": (_fabric(**(nothing | {"shear": 100.0})), 0.0),
+        "shear springs": (_fabric(**(nothing | {"shear_spring": 100.0})), 0.0),
         "bending springs": (_fabric(**nothing, bending_spring=50.0), 0.0),
         "true bending": (_fabric(**nothing, bending=1e-3), 0.0),
         "spring damping": (_fabric(damping_time=0.1), 0.0),

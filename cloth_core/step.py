@@ -21,6 +21,8 @@ from cloth_core.runs import Runs
 from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
 from cloth_core.strain_limit import StrainLimit, hold_strain, repeat_strain_impulses, watch_strain
+from cloth_core.trellis import trellis_forces
+from cloth_core.twist import twist_forces
 
 __all__ = ["ForceTerms", "Workspace", "run_steps", "total_force"]
 
@@ -40,7 +42,8 @@ class ForceTerms(NamedTuple):
         gravity: [m/s^2], (3,).
         air_drag: k_a [1/s].
         springs: all springs, with the values (L0 [m], k [N/m]); spring_damping_time: [s].
-        lines, hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m]: bending elements.
+        trellis: cells that resist shear, with the value k [N/m].
+        lines, twists, hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m]: bending elements.
         bending_damping_time: [s].
         seam: pull of the open seams.
         spring_pairs (s, 2), strain_limit: pairs and longest lengths of the springs.
@@ -52,7 +55,9 @@ class ForceTerms(NamedTuple):
     air_drag: float
     springs: Runs
     spring_damping_time: float
+    trellis: Runs
     lines: Runs
+    twists: Runs
     hinges: Ints
     hinge_weights: Floats
     hinge_stiffness: Floats
@@ -103,6 +108,8 @@ def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
     if terms.air_drag != 0.0:
         air_drag_forces(work.v, terms.mass, terms.air_drag, work.force)
     spring_forces(work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch)
+    if terms.trellis.length.shape[0] + terms.trellis.rest.shape[0] > 0:
+        trellis_forces(work.x, work.v, terms.trellis, terms.spring_damping_time, work.force, work.scratch, work.ahead)
     if terms.lines.length.shape[0] + terms.lines.rest.shape[0] + terms.hinges.shape[0] > 0:
         tau = terms.bending_damping_time
         for axis in range(3):
@@ -112,6 +119,7 @@ def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
         bending_forces(
             work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
         )
+        twist_forces(work.ahead, terms.twists, work.force, work.scratch)
     if terms.seam.pairs.shape[0] > 0:
         seam_forces(work.x, work.v, terms.seam, openness, work.force)
 

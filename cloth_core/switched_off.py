@@ -29,9 +29,9 @@ __all__ = ["SWITCHABLE", "check_without", "marked_off", "missed_effects", "scene
 Floats = NDArray[np.float64]
 
 
-def _fabric(key: str) -> Callable[[Scene], Scene]:
+def _fabric(*keys: str) -> Callable[[Scene], Scene]:
     def without(scene: Scene) -> Scene:
-        changes: dict[str, Any] = {key: 0.0}
+        changes: dict[str, Any] = dict.fromkeys(keys, 0.0)
         return replace(scene, fabric=replace(scene.fabric, **changes))
 
     return without
@@ -48,7 +48,7 @@ def _without_seams(scene: Scene) -> Scene:
 SWITCHABLE: dict[str, Callable[[Scene], Scene]] = {
     "gravity": lambda scene: replace(scene, gravity=(0.0, 0.0, 0.0)),
     "air drag": lambda scene: replace(scene, air_drag=0.0),
-    "shear springs": _fabric("shear"),
+    "shear springs": _fabric("shear", "shear_spring"),
     "bending springs": _fabric("bending_spring"),
     "bending": _fabric("bending"),
     "strain limit": lambda scene: scene,
@@ -123,9 +123,9 @@ def _air_drag(run: _Run) -> str | None:
     return f"the fastest particle ({speed:.3g} m/s) is not slowed by {slowed:.3g} m/s^2" if slowed > 0.01 else None
 
 
-def _stiffness(key: str, unit: str, what: str) -> Callable[[_Run], str | None]:
+def _stiffness(keys: tuple[str, ...], unit: str, what: str) -> Callable[[_Run], str | None]:
     def line(run: _Run) -> str | None:
-        value = getattr(run.scene.fabric, key)
+        value = sum(getattr(run.scene.fabric, key) for key in keys)
         return f"the fabric's {value:.3g} {unit} against {what} are not felt" if value > 0.0 else None
 
     return line
@@ -180,11 +180,11 @@ def _self_contact(run: _Run) -> str | None:
 _MISSED: dict[str, Callable[[_Run], str | None]] = {
     "gravity": _gravity,
     "air drag": _air_drag,
-    "shear springs": _stiffness("shear", "N/m", "shearing"),
-    "bending springs": _stiffness("bending_spring", "N/m", "folding"),
-    "bending": _stiffness("bending", "N m", "bending"),
+    "shear springs": _stiffness(("shear", "shear_spring"), "N/m", "shearing"),
+    "bending springs": _stiffness(("bending_spring",), "N/m", "folding"),
+    "bending": _stiffness(("bending",), "N m", "bending"),
     "strain limit": _strain_limit,
-    "spring damping": _stiffness("damping_time", "s", "quick stretching"),
+    "spring damping": _stiffness(("damping_time",), "s", "quick stretching"),
     "pins": _pins,
     "seams": _seams,
     "body contact": _body_contact,

@@ -16,6 +16,8 @@ from cloth_core.sewing import seam_forces
 from cloth_core.springs import spring_forces
 from cloth_core.step import ForceTerms, Workspace, run_steps, total_force
 from cloth_core.strain_limit import hold_strain
+from cloth_core.trellis import trellis_forces
+from cloth_core.twist import twist_forces
 
 __all__ = ["term_costs"]
 
@@ -29,7 +31,8 @@ def term_costs(
 ) -> dict[str, float]:
     """Median microseconds that one step of each term takes, on copies of the state x, v (n, 3); "step": all of it.
 
-    The structural, shear and bending springs run in one loop; its time is shared out by their number elsewhere.
+    All springs run in one loop; its time is shared out by their number elsewhere. Shear that is resisted by cells has
+    a loop of its own.
     """
     work = Workspace.of(len(x))
     total_force(x, v, terms, 0.0, work)  # fills the copies that the terms work on
@@ -42,10 +45,12 @@ def term_costs(
         "structural springs": lambda: spring_forces(
             work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch
         ),
-        "bending": lambda: bending_forces(
-            work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
-        ),
+        "bending": lambda: _bending(terms, work),
     }
+    if len(terms.trellis.length) + len(terms.trellis.rest):
+        measured["shear springs"] = lambda: trellis_forces(
+            work.x, work.v, terms.trellis, terms.spring_damping_time, work.force, work.scratch, work.ahead
+        )
     xs, vs = x.copy(), v.copy()
     measured["strain limit"] = lambda: hold_strain(xs, vs, terms.inverse_mass, terms.spring_pairs, limit, dt)
     if terms.seam.pairs.shape[0] > 0:
@@ -56,6 +61,13 @@ def term_costs(
     xw, vw, room, way = x.copy(), v.copy(), Workspace.of(len(x)), np.zeros(len(x))
     measured["step"] = lambda: run_steps(xw, vw, room, way, whole, contact, held, dt, 1, 0.0, 0.0)
     return {name: _median_microseconds(run) for name, run in measured.items()}
+
+
+def _bending(terms: ForceTerms, work: Workspace) -> None:
+    bending_forces(
+        work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
+    )
+    twist_forces(work.ahead, terms.twists, work.force, work.scratch)
 
 
 def _median_microseconds(run: Callable[[], object]) -> float:

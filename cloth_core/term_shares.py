@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 __all__ = ["term_shares"]
 
-# Families that one loop runs over; its time is shared out by their numbers.
+# Families that one loop runs over, but for what has one of its own; its time is shared out by their numbers.
 _ONE_LOOP = ("structural springs", "shear springs", "bending springs", "sewing smoothness")
 # Terms that are a factor or a branch inside another one's loop: they take no time that could be told apart.
 _WITHIN = {
@@ -36,9 +36,9 @@ def term_shares(terms: Sequence[Term], costs: Mapping[str, float]) -> dict[str, 
     microseconds: dict[str, float] = {name: cost for name, cost in costs.items() if name in active}
     if "self contact" in active and "body contact" not in active and "body contact" in costs:
         microseconds["self contact"] = costs["body contact"]  # one loop resolves both
-    springs = [active[name] for name in _ONE_LOOP if name in active]
-    count = sum(t.elements for t in springs)
     loop = costs.get(_ONE_LOOP[0])
+    springs = [active[name] for name in _ONE_LOOP if name in active and (name == _ONE_LOOP[0] or name not in costs)]
+    count = sum(t.elements for t in springs)
     if loop is not None and count > 0:
         microseconds.update({t.name: loop * t.elements / count for t in springs})
     whole = max(costs.get(WHOLE_STEP, 0.0), sum(microseconds.values()))

@@ -24,6 +24,7 @@ from cloth_core.simulation import Simulation
 from cloth_core.springs import spring_forces
 from cloth_core.step import ForceTerms, Workspace, run_steps
 from cloth_core.strain_limit import StrainLimit
+from cloth_core.twist import twist_forces
 
 __all__ = [
     "GRAVITY",
@@ -186,6 +187,7 @@ def bending_force(bending: Bending, x: Floats, v: Floats | None = None, damping_
         by_axis(ahead), bending.line_runs(), bending.hinges, bending.hinge_weights, bending.hinge_stiffness, force,
         np.zeros_like(force),
     )  # fmt: skip
+    twist_forces(by_axis(ahead), bending.twist_runs(), force, np.zeros_like(force))
     return np.ascontiguousarray(force.T)
 
 
@@ -205,7 +207,9 @@ def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
         "air_drag": 0.0,
         "springs": find_runs(pairs, np.stack([lengths, stiffness], axis=1)),
         "spring_damping_time": 0.0,
+        "trellis": find_runs(np.zeros((0, 4), dtype=np.int32), np.zeros((0, 1))),
         "lines": find_runs(np.zeros((0, 3), dtype=np.int32), np.zeros((0, 1))),
+        "twists": find_runs(np.zeros((0, 4), dtype=np.int32), np.zeros((0, 1))),
         "hinges": np.zeros((0, 4), dtype=np.int32),
         "hinge_weights": np.zeros((0, 4)),
         "hinge_stiffness": np.zeros(0),

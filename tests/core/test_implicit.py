@@ -125,7 +125,9 @@ def test_matrix_is_the_derivative_of_the_forces() -> None:
             found[i, :, i, axis] = factors.values[at : at + 3]
         for k, (i, j) in enumerate(matrix.links):
             at = factors.off_diagonal[k] + axis * factors.off_diagonal_stride[k]
-            found[i, :, j, axis] = found[j, :, i, axis] = factors.values[at : at + 3]
+            # The rows of a block belong to the particle that is eliminated later.
+            row, column = (i, j) if factors.place[i] > factors.place[j] else (j, i)
+            found[row, :, column, axis] = found[column, axis, row, :] = factors.values[at : at + 3]
 
     work, v = Workspace.of(n), np.zeros((n, 3))
 
@@ -190,7 +192,7 @@ def test_second_order_halves_of_a_step_quarter_the_error() -> None:
 @pytest.mark.parametrize("stiffness", [1e3, 1e6])
 def test_hung_sheet_comes_to_the_rest_of_symplectic_euler(stiffness: float) -> None:
     garment = sheet(0.5, 0.5, 0.125)
-    fabric = plain_fabric(structural_warp=stiffness, structural_weft=stiffness, damping_time=1e-5, bending=1e-3)
+    fabric = plain_fabric(structural_warp=stiffness, structural_weft=stiffness, damping_time=1e-5, bending=1e-2)
     rests = []
     # Firm enough to hang flat: a limp one has several rests.
     plain = Settings(spacing=0.125, rest_displacement=5e-5)
@@ -320,7 +322,7 @@ def test_unknown_integrator_is_refused_with_those_that_there_are() -> None:
 def test_step_of_a_second_is_finite() -> None:
     garment = sheet(0.5, 0.5, 0.1)
     simulation = Simulation(_scene(garment, pins=_corners(garment), time_step=1.0))
-    simulation.advance(20.0)
+    simulation.advance(60.0)
     assert np.isfinite(simulation._x).all()
     # So long steps damp every swing: it hangs.
     assert simulation._largest_speed() < 1e-2

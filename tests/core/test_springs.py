@@ -12,6 +12,9 @@ from cloth_core.springs import SpringFamily, Springs, build_springs, spring_stra
 
 STRUCTURAL, SHEAR, BENDING = SpringFamily
 
+# The paper's law of shear: a spring along each diagonal.
+DIAGONALS = {"shear": 0.0, "shear_spring": 100.0}
+
 
 def energy(x: np.ndarray, springs: Springs) -> float:
     """Sum of k (|d| - L0)^2 / 2 over all springs [J]."""
@@ -62,7 +65,7 @@ def test_springs_have_a_fixed_order_and_stand_once():
 
 def test_springs_at_the_boundary_follow_the_triangles_and_their_opposite_corners():
     garment = curved_panel(0.02)
-    springs = build_springs(garment, plain_fabric(bending_spring=3.0))
+    springs = build_springs(garment, plain_fabric(**DIAGONALS, bending_spring=3.0))
     band = garment.triangles[~garment.in_quad]
     assert len(band) > 30
     sides, opposite = set(), set()
@@ -180,7 +183,7 @@ def moduli(garment: Garment, springs: Springs) -> dict[str, float]:
 @pytest.mark.parametrize("spacing", [0.02, 0.01])
 def test_membrane_moduli_of_the_grid(spacing):
     # C11 = k_s + k_d, C12 = G = k_d: at any spacing, outline springs included.
-    springs_of = plain_fabric(structural_warp=500.0, structural_weft=300.0, shear=70.0)
+    springs_of = plain_fabric(structural_warp=500.0, structural_weft=300.0, shear=0.0, shear_spring=70.0)
     garment = sheet(0.2, 0.12, spacing)
     found = moduli(garment, build_springs(garment, springs_of))
     assert found == pytest.approx({"C11": 370.0, "C22": 570.0, "C12": 70.0, "G": 70.0}, rel=1e-3)
@@ -189,8 +192,8 @@ def test_membrane_moduli_of_the_grid(spacing):
 def test_bending_springs_add_four_of_their_stiffness_to_the_membrane():
     nx, ny, k = 20, 12, 5.0
     garment = sheet(0.01 * nx, 0.01 * ny, 0.01)
-    with_them = moduli(garment, build_springs(garment, plain_fabric(bending_spring=k)))
-    without = moduli(garment, build_springs(garment, plain_fabric()))
+    with_them = moduli(garment, build_springs(garment, plain_fabric(**DIAGONALS, bending_spring=k)))
+    without = moduli(garment, build_springs(garment, plain_fabric(**DIAGONALS)))
     # Each of them, 2 h long, stands for a cell of h by h; the outline has one row more and one column fewer than cells.
     assert with_them["C11"] - without["C11"] == pytest.approx(4 * k * (nx - 1) * (ny + 1) / (nx * ny), rel=1e-3)
     assert with_them["C22"] - without["C22"] == pytest.approx(4 * k * (ny - 1) * (nx + 1) / (nx * ny), rel=1e-3)
@@ -202,7 +205,10 @@ def test_cells_that_are_not_square():
     # 0.07 by 0.05 m at 0.02 m: cells of 17.5 by 16.7 mm.
     garment = sheet(0.07, 0.05, 0.02)
     found = moduli(
-        garment, build_springs(garment, plain_fabric(structural_warp=500.0, structural_weft=300.0, shear=70.0))
+        garment,
+        build_springs(
+            garment, plain_fabric(structural_warp=500.0, structural_weft=300.0, shear=0.0, shear_spring=70.0)
+        ),
     )
     assert found == pytest.approx({"C11": 370.0, "C22": 570.0, "C12": 70.0, "G": 70.0}, rel=0.06)
 
@@ -210,7 +216,7 @@ def test_cells_that_are_not_square():
 def test_membrane_moduli_of_a_panel_with_a_curved_outline():
     # The band follows the sides of its triangles; the panel as a whole is as stiff as the grid to a tenth.
     garment = curved_panel(0.01)
-    found = moduli(garment, build_springs(garment, plain_fabric()))
+    found = moduli(garment, build_springs(garment, plain_fabric(**DIAGONALS)))
     assert found == pytest.approx({"C11": 500.0, "C22": 500.0, "C12": 100.0, "G": 100.0}, rel=0.1)
 
 
@@ -221,7 +227,7 @@ def test_pulled_strip_stretches_as_its_modulus_says():
     from cloth_core.simulation import Simulation
 
     garment = sheet(0.1, 0.3, 0.02)
-    fabric = plain_fabric(damping_time=1e-4, bending=0.0)
+    fabric = plain_fabric(**DIAGONALS, damping_time=1e-4, bending=0.0)
     top = np.flatnonzero(garment.rest[:, 1] > 0.149).astype(np.int32)
     scene = Scene(
         garment=garment, fabric=fabric, pins=top, gravity=(0.0, -20.0, 0.0), air_drag=30.0, settings=Settings()
@@ -275,7 +281,7 @@ def test_bending_springs_of_a_rolled_sheet_grow_with_the_fourth_power():
 def test_runs_and_single_springs_give_the_same_forces(damping_time):
     # One spring after the other, shuffled so that no two in line follow each other, against the runs of the grid.
     garment = curved_panel(0.02)
-    springs = build_springs(garment, Fabric.preset("denim"))
+    springs = build_springs(garment, Fabric.preset("denim", **DIAGONALS))
     runs = springs.runs(springs.stiffness).mixed(1.0)
     assert runs.length.sum() + len(runs.rest) == len(springs)
     assert runs.length.sum() > 0.5 * len(springs)
@@ -296,7 +302,7 @@ def test_nothing_swings_faster_than_an_endless_lattice(spacing):
     # are lighter and springs shorter.
     k, shear, density = 800.0, 60.0, 0.2
     garment = curved_panel(spacing)
-    springs = build_springs(garment, plain_fabric(structural_warp=k, structural_weft=k, shear=shear))
+    springs = build_springs(garment, plain_fabric(structural_warp=k, structural_weft=k, shear=0.0, shear_spring=shear))
     matrix = np.zeros((2 * garment.particle_count,) * 2)
     for (i, j), length, stiffness in zip(springs.pairs, springs.rest_length, springs.stiffness, strict=True):
         along = (garment.rest[j] - garment.rest[i]) / length
