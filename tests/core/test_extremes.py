@@ -190,7 +190,8 @@ def test_row_09_slivers_stay_finite(aspect):
     for _ in range(200):
         simulation.tick()
     assert finite(simulation)
-    assert simulation._largest_speed() <= 9.80665 * simulation.time * 1.01  # nothing faster than free fall
+    # Nothing is faster than the end of a rod that falls from where it is hinged.
+    assert simulation._largest_speed() <= 1.5 * 9.80665 * simulation.time * 1.01
 
 
 def test_row_11_coincident_particles_are_not_kicked():
