@@ -203,7 +203,7 @@ class Model:
         terms = self.force_terms(air_drag)
         tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
         rows = _spring_rows(x, self.springs.pairs, self.springs.rest_length, self._stiffness)
-        axes, bends, scratch = (np.zeros((3, len(x) if self.bending is not None else 0)) for _ in range(3))
+        axes, bends = (np.zeros((3, len(x) if self.bending is not None else 0)) for _ in range(2))
 
         def weighted(u: Floats, k: float, c: float) -> Floats:
             total = np.zeros_like(u)
@@ -212,9 +212,7 @@ class Model:
             if self.bending is not None:
                 axes[:] = u.T
                 bends[:] = 0.0
-                bending_forces(
-                    axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends, scratch
-                )
+                bending_forces(axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends)
                 bends[:] *= k + c * bending_tau
                 total -= bends.T
             if self.seam_pull is not None:

@@ -40,10 +40,10 @@ def term_costs(
         "gravity": lambda: gravity_forces(terms.mass, terms.gravity, work.force),
         "air drag": lambda: air_drag_forces(work.v, terms.mass, terms.air_drag, work.force),
         "structural springs": lambda: spring_forces(
-            work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch
+            work.x, work.v, terms.springs, terms.spring_damping_time, work.force
         ),
         "bending": lambda: bending_forces(
-            work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
+            work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force
         ),
     }
     xs, vs = x.copy(), v.copy()
