@@ -143,9 +143,9 @@ def kernels(simulation: Simulation) -> dict[str, float]:
     x, v, limit, dt = s._x.copy(), s._v.copy(), s._terms.strain_limit, s.time_step
     total_force(x, v, t, 0.0, w)
     result = {
-        "springs": microseconds(lambda: spring_forces(w.x, w.v, t.springs, t.spring_damping_time, w.force, w.scratch)),
+        "springs": microseconds(lambda: spring_forces(w.x, w.v, t.springs, t.spring_damping_time, w.force)),
         "bending": microseconds(
-            lambda: bending_forces(w.ahead, t.lines, t.hinges, t.hinge_weights, t.hinge_stiffness, w.force, w.scratch)
+            lambda: bending_forces(w.ahead, t.lines, t.hinges, t.hinge_weights, t.hinge_stiffness, w.force)
         ),
         "gravity": microseconds(lambda: gravity_forces(t.mass, t.gravity, w.force)),
         "Euler by axis": microseconds(lambda: euler_by_axis(w.x, w.v, w.force, 0.0 * t.inverse_mass, dt)),

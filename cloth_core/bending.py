@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
-from cloth_core.lanes import LANES, add_to, fill, fused, last_lanes, load, store, take_from
+from cloth_core.lanes import LANES, add_to, fill, fused, last_lane, last_lanes, load, take_from, together
 from cloth_core.runs import Runs, find_runs
 from cloth_core.twist import twist_stiffness
 
@@ -148,39 +148,40 @@ def _hinge_elements(garment: Garment, hinge: Ints, sides: Ints, number: Ints, be
 
 
 @kernel
-def bending_forces(
-    x: Floats, lines: Runs, hinge: Ints, weights: Floats, stiffness: Floats, force: Floats, scratch: Floats
-) -> None:
+def bending_forces(x: Floats, lines: Runs, hinge: Ints, weights: Floats, stiffness: Floats, force: Floats) -> None:
     """Add -k w_i sum_j w_j x_j to every particle of every bending element.
 
     Shapes: x, force (3, n) [m, N]; lines with the value k [N/m] and the weights (1, -2, 1); hinge, weights (h, 4);
-    stiffness k (h,) [N/m]; scratch (3, at least n). The force is linear in x: with x + tau v in its place it includes a
-    damping of time tau.
+    stiffness k (h,) [N/m]. The force is linear in x: with x + tau v in its place it includes a damping of time tau.
     """
-    minus_two, two = fill(-2.0), fill(2.0)
+    minus_two, two, none = fill(-2.0), fill(2.0), fill(0.0)
     for axis in range(3):
-        y, f, bent = x[axis], force[axis], scratch[axis]
+        y, f = x[axis], force[axis]
         for r in range(lines.length.shape[0]):
             n, stiff = lines.length[r], fill(lines.value[r, 0])
             i, j, k = lines.first[r, 0], lines.first[r, 1], lines.first[r, 2]
-            far = min(abs(j - i), min(abs(k - j), abs(k - i))) >= 2 * LANES  # as in spring_forces
+            if j - i == 1 and k - i == 2:
+                # Along a row each particle gets the forces of three triples at once, as in spring_forces.
+                before = none
+                for block in range(0, n, LANES):
+                    s = min(block, n - LANES)
+                    one = stiff * fused(minus_two, load(y, j + s), load(y, i + s) + load(y, k + s))
+                    if block - s == 1:  # as in spring_forces
+                        before = together(none, before, 1)
+                    change = fused(two, together(before, one, 1), none - together(before, one, 2)) - one
+                    add_to(f, i + s, last_lanes(change, LANES - (block - s)))
+                    before = one
+                f[j + n - 1] += 2.0 * last_lane(before, 0) - last_lane(before, 1)
+                f[k + n - 1] -= last_lane(before, 0)
+                continue
             for block in range(0, n, LANES):
                 s = min(block, n - LANES)
                 one = stiff * fused(minus_two, load(y, j + s), load(y, i + s) + load(y, k + s))
-                if not far:
-                    store(bent, s, one)
                 if s < block:
                     one = last_lanes(one, LANES - (block - s))
                 take_from(f, i + s, one)
-                if far:
-                    add_to(f, j + s, two * one)
-                    take_from(f, k + s, one)
-            for block in range(0, 0 if far else n, LANES):
-                s = min(block, n - LANES)
-                add_to(f, j + s, two * last_lanes(load(bent, s), LANES - (block - s)))
-            for block in range(0, 0 if far else n, LANES):
-                s = min(block, n - LANES)
-                take_from(f, k + s, last_lanes(load(bent, s), LANES - (block - s)))
+                add_to(f, j + s, two * one)
+                take_from(f, k + s, one)
         for s in range(lines.rest.shape[0]):
             i, j, k = lines.rest[s, 0], lines.rest[s, 1], lines.rest[s, 2]
             bend = lines.rest_value[s, 0] * (y[i] - 2.0 * y[j] + y[k])

@@ -23,7 +23,8 @@ Ints = NDArray[np.int32]
 
 # Sides and body corners are held off at this share of the vertices' offset: they only act where vertices cannot.
 _SIDE_OFFSET_SHARE = 0.5
-# A vertex's contact planes are renewed when it has moved by this share of the offset.
+# A vertex's contact planes are renewed when it has moved by this share of the offset; it has some from twice this share
+# beyond the offset on.
 _RENEWAL_SHARE = 0.05
 _MOST_PLANES = 3
 # Pairs of triangles whose boxes overlap, in all and for each triangle of body and cloth: surfaces have a few each. More
@@ -45,6 +46,7 @@ class VertexPlanes(NamedTuple):
         gap: distance to the offset surface at `at` [m], (n, 3).
         velocity: of the body at each plane's closest point [m/s], (n, 3, 3).
         at: where the planes were computed [m], (n, 3).
+        renewal: squared way from there after which they are renewed [m^2], (n,).
     """
 
     start: Ints
@@ -55,6 +57,7 @@ class VertexPlanes(NamedTuple):
     gap: Floats
     velocity: Floats
     at: Floats
+    renewal: Floats
 
     @classmethod
     def of(cls, particle_count: int, pairs: Ints, distance: Floats) -> VertexPlanes:
@@ -70,6 +73,7 @@ class VertexPlanes(NamedTuple):
             gap=np.zeros((particle_count, _MOST_PLANES)),
             velocity=np.zeros((particle_count, _MOST_PLANES, 3)),
             at=np.zeros((particle_count, 3)),
+            renewal=np.zeros(particle_count),
         )
 
 
@@ -219,15 +223,24 @@ def _renew_planes(
     body_v: Floats,
     body_triangles: Ints,
     offset: float,
-    slack: float,
+    renewal: float,
 ) -> None:
-    """Contact planes of particle i: its nearest triangles within offset + slack, one for each direction."""
+    """Contact planes of particle i: its nearest triangles a little beyond the offset, one for each direction.
+
+    They hold until the particle has moved by `renewal` [m], and where there is none until it can have come to one.
+    """
     count = 0
+    slack = 2.0 * renewal
+    clear = np.inf
     for entry in range(planes.start[i], planes.start[i + 1]):
         t = planes.body_triangle[entry]
         a, b, c = body_triangles[t, 0], body_triangles[t, 1], body_triangles[t, 2]
         squared, u, v, w = point_triangle(x[i], body_x[a], body_x[b], body_x[c])
-        if squared > (offset + slack) ** 2 or squared < 1e-24:
+        if squared < 1e-24:
+            clear = 0.0
+            continue
+        if squared > (offset + slack) ** 2:
+            clear = min(clear, squared)
             continue
         distance = np.sqrt(squared)
         nx = (x[i, 0] - u * body_x[a, 0] - v * body_x[b, 0] - w * body_x[c, 0]) / distance
@@ -257,6 +270,8 @@ def _renew_planes(
             for axis in range(3):
                 planes.velocity[i, slot, axis] = u * body_v[a, axis] + v * body_v[b, axis] + w * body_v[c, axis]
     planes.plane_count[i] = count
+    free = max(np.sqrt(clear) - offset, renewal) if count == 0 else renewal
+    planes.renewal[i] = free * free
     for axis in range(3):
         planes.at[i, axis] = x[i, axis]
 
@@ -283,8 +298,8 @@ def hold_vertices(
         dx = x[i, 0] - planes.at[i, 0]
         dy = x[i, 1] - planes.at[i, 1]
         dz = x[i, 2] - planes.at[i, 2]
-        if planes.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > renewal * renewal:
-            _renew_planes(i, x, planes, body_x, body_v, body_triangles, offset, 2.0 * renewal)
+        if planes.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > planes.renewal[i]:
+            _renew_planes(i, x, planes, body_x, body_v, body_triangles, offset, renewal)
         held = planes.plane_count[i]
         # One plane is settled in one go; in a crease the planes disturb each other.
         for _ in range(1 if held == 1 else _SWEEPS):

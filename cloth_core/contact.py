@@ -61,6 +61,7 @@ _LEAST_RADIUS = 0.002
 _ENOUGH_OF_REACH = 0.1
 _ENOUGH = 0.001
 _ENOUGH_OF_RADIUS = 0.5
+_NO_BODY = np.zeros((0, 3))
 
 
 class ContactState(NamedTuple):
@@ -135,7 +136,7 @@ class Contact:
         self._tree: AabbTree | None = None
         self._broad_x = np.zeros((0, 3))
         self._radii = np.zeros(0)
-        self._broad_body_x = np.zeros((0, 3))
+        self._broad_body_x = self._searched_body_x = _NO_BODY
         self._planes = _no_planes(0)
         self._pairs = PairContacts.none()
 
@@ -147,25 +148,25 @@ class Contact:
             reach: how far particles want to go [m], above 0, for all or for each, shape (n,); at most the radius is
                 granted.
         """
-        wanted = np.broadcast_to(reach, len(x))
-        granted = np.minimum(wanted, self.radius)
+        wanted = np.ascontiguousarray(np.broadcast_to(reach, len(x)), dtype=np.float64)
         due = len(self._broad_x) != len(x)
         if not due:
-            moved = np.sqrt(((x - self._broad_x) ** 2).sum(axis=1)) + self._way_of_body()
-            left = self._radii - moved
-            enough = np.clip(_ENOUGH_OF_REACH * wanted, _ENOUGH, _ENOUGH_OF_RADIUS * self.radius)
-            due = bool((left < np.minimum(granted, enough)).any())
+            due, moved, granted = _left_of_radius(
+                x, self._broad_x, self._radii, self._way_of_body(), wanted, self.radius
+            )
         if due:
             # In proportion to how fast each moves, so that all are used up at about the same time.
             least = min(_LEAST_RADIUS, self.radius)
             self._radii = least + (self.radius - least) * (wanted / wanted.max())
             self._broad_phase(x)
-            moved, left = np.zeros(len(x)), self._radii
-        granted = np.minimum(granted, left)
-        body_x = self.body.body.vertices if self.body is not None else np.zeros((0, 3))
+            moved, granted = np.zeros(len(x)), np.minimum(wanted, self._radii)
+        body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
         travel, near = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, granted)
         self.narrow_phases += 1
+        if body_x is not self._searched_body_x:
+            self._planes.plane_count[:] = -1
+            self._searched_body_x = body_x
         planes = NearPlanes(near[:, 0].astype(np.int32), np.ascontiguousarray(near[:, 1:4]), near[:, 4].copy())
         return ContactState(x.copy(), travel, self._planes, self._pairs, planes)
 
@@ -198,6 +199,26 @@ class Contact:
         if self.body is None or self.body.body.vertices is self._broad_body_x:
             return 0.0
         return float(np.sqrt(((self.body.body.vertices - self._broad_body_x) ** 2).sum(axis=1).max()))
+
+
+@kernel
+def _left_of_radius(
+    x: Floats, broad_x: Floats, radii: Floats, way_of_body: float, wanted: Floats, radius: float
+) -> tuple[bool, Floats, Floats]:
+    """Whether any particle has too little left of its radius [m]; the way of each since the broad phase, and its reach.
+
+    Shapes: x, broad_x (n, 3), radii, wanted (n,) [m]; radius is the largest one. Returns also moved, granted (n,) [m].
+    """
+    moved, granted = np.empty_like(radii), np.empty_like(radii)
+    short = 0
+    for i in range(radii.shape[0]):
+        dx, dy, dz = x[i, 0] - broad_x[i, 0], x[i, 1] - broad_x[i, 1], x[i, 2] - broad_x[i, 2]
+        moved[i] = np.sqrt(dx * dx + dy * dy + dz * dz) + way_of_body
+        left = radii[i] - moved[i]
+        enough = min(max(_ENOUGH_OF_REACH * wanted[i], _ENOUGH), _ENOUGH_OF_RADIUS * radius)
+        granted[i] = min(wanted[i], left)
+        short += left < min(min(wanted[i], radius), enough)
+    return short > 0, moved, granted
 
 
 @kernel

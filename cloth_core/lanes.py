@@ -15,7 +15,19 @@ from typing import Any
 from llvmlite import ir
 from numba import core, extending, types
 
-__all__ = ["LANES", "add_to", "fill", "fused", "inverse_root", "last_lanes", "load", "store", "take_from"]
+__all__ = [
+    "LANES",
+    "add_to",
+    "fill",
+    "fused",
+    "inverse_root",
+    "last_lane",
+    "last_lanes",
+    "load",
+    "store",
+    "take_from",
+    "together",
+]
 
 LANES = 8
 
@@ -125,6 +137,31 @@ def take_from(typing: Any, array: Any, index: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.none(_row(array), types.intp, lanes_type), emit
+
+
+@_intrinsic
+def together(typing: Any, before: Any, value: Any, back: Any) -> Any:
+    """Eight lanes that end `back` (1 or 2, a literal) lanes before the end of `before` followed by `value`."""
+    if not isinstance(back, types.IntegerLiteral):
+        raise core.errors.RequireLiteralValue("lanes: `back` is not a literal")  # type: ignore[no-untyped-call]
+    first = LANES - back.literal_value
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [ir.IntType(32)(first + k) for k in range(LANES)])
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.shuffle_vector(arguments[0], arguments[1], mask)
+
+    return lanes_type(lanes_type, lanes_type, back), emit
+
+
+@_intrinsic
+def last_lane(typing: Any, value: Any, back: Any) -> Any:
+    """The number in lane 7 - back (0 to 7)."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        lane = builder.sub(ir.IntType(64)(LANES - 1), arguments[1])
+        return builder.extract_element(arguments[0], lane)
+
+    return types.float64(lanes_type, types.intp), emit
 
 
 @_intrinsic

@@ -217,7 +217,7 @@ class Model:
         pairs = self.springs.pairs[acts]
         rows = _spring_rows(x, pairs, self.springs.rest_length[acts], self._stiffness[acts])
         cells = trellis_rows(x, self.trellis, self.trellis_stiffness)
-        axes, bends, scratch = (np.zeros((3, len(x) if self.bending is not None else 0)) for _ in range(3))
+        axes, bends = (np.zeros((3, len(x) if self.bending is not None else 0)) for _ in range(2))
 
         def weighted(u: Floats, k: float, c: float) -> Floats:
             total = np.zeros_like(u)
@@ -226,10 +226,8 @@ class Model:
             if self.bending is not None:
                 axes[:] = u.T
                 bends[:] = 0.0
-                bending_forces(
-                    axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends, scratch
-                )
-                twist_forces(axes, terms.twists, bends, scratch)
+                bending_forces(axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends)
+                twist_forces(axes, terms.twists, bends)
                 bends[:] *= k + c * bending_tau
                 total -= bends.T
             if self.seam_pull is not None:

@@ -166,47 +166,95 @@ def hold_pairs(
     since the search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near leaves.
     """
     count = _find_active(x, v, inverse_mass, pairs, body_x, body_v, dt, moved)
-    for _ in range(_SWEEPS if count > 0 else 0):
-        for entry in range(count):
-            s = pairs.active[entry]
-            compliance = _compliance(inverse_mass, pairs, s)
-            if compliance <= 0.0:
-                continue
-            vx, vy, vz = _relative_velocity(v, body_v, pairs, s)
+    if count == 0:
+        return
+    # What the sweeps need of each contact, side by side; a particle that is not there is one of no weight.
+    ends = np.empty((count, 4), dtype=np.intp)
+    weight, share = np.empty((count, 4)), np.empty((count, 4))
+    given = np.empty((count, 4))
+    body_part = np.empty((count, 3))
+    stiff = np.empty(count)
+    kept = 0
+    for entry in range(count):
+        s = pairs.active[entry]
+        compliance = _compliance(inverse_mass, pairs, s)
+        if compliance <= 0.0:
+            continue
+        pairs.active[kept], pairs.active[entry] = s, pairs.active[kept]
+        for k in range(4):
+            i = pairs.particles[s, k]
+            ends[kept, k] = max(i, 0)
+            weight[kept, k] = pairs.weight[s, k] if i >= 0 else 0.0
+            share[kept, k] = pairs.weight[s, k] * inverse_mass[i] if i >= 0 else 0.0
+        body_part[kept, 0], body_part[kept, 1], body_part[kept, 2] = _body_velocity(body_v, pairs, s)
+        given[kept, 0] = pairs.impulse[s]
+        for axis in range(3):
+            given[kept, 1 + axis] = pairs.friction[s, axis]
+        stiff[kept] = 1.0 / compliance
+        kept += 1
+    for _ in range(_SWEEPS):
+        changed = False
+        for r in range(kept):
+            s = pairs.active[r]
+            i, j, k, m = ends[r, 0], ends[r, 1], ends[r, 2], ends[r, 3]
+            wi, wj, wk, wm = weight[r, 0], weight[r, 1], weight[r, 2], weight[r, 3]
+            vx = wi * v[i, 0] + wj * v[j, 0] + wk * v[k, 0] + wm * v[m, 0] - body_part[r, 0]
+            vy = wi * v[i, 1] + wj * v[j, 1] + wk * v[k, 1] + wm * v[m, 1] - body_part[r, 1]
+            vz = wi * v[i, 2] + wj * v[j, 2] + wk * v[k, 2] + wm * v[m, 2] - body_part[r, 2]
             nx, ny, nz = pairs.normal[s, 0], pairs.normal[s, 1], pairs.normal[s, 2]
             approach = vx * nx + vy * ny + vz * nz
             # A gap that was still open may close within the step, no more.
             wanted = -max(pairs.gap[s], 0.0) / dt
             before = pairs.impulse[s]
-            now = max(before + (wanted - approach) / compliance, 0.0)
+            now = max(before + (wanted - approach) * stiff[r], 0.0)
+            if before == 0.0 and now == 0.0:
+                continue
             pairs.impulse[s] = now
             fx, fy, fz = pairs.friction[s, 0], pairs.friction[s, 1], pairs.friction[s, 2]
-            tx = fx - (vx - approach * nx) / compliance
-            ty = fy - (vy - approach * ny) / compliance
-            tz = fz - (vz - approach * nz) / compliance
-            size = np.sqrt(tx * tx + ty * ty + tz * tz)
+            tx = fx - (vx - approach * nx) * stiff[r]
+            ty = fy - (vy - approach * ny) * stiff[r]
+            tz = fz - (vz - approach * nz) * stiff[r]
+            squared = tx * tx + ty * ty + tz * tz
             limit = friction * now
-            share = limit / size if size > limit else 1.0
-            tx, ty, tz = share * tx, share * ty, share * tz
+            if squared > limit * limit:
+                scale = limit / np.sqrt(squared)
+                tx, ty, tz = scale * tx, scale * ty, scale * tz
             pairs.friction[s, 0], pairs.friction[s, 1], pairs.friction[s, 2] = tx, ty, tz
-            change = now - before
-            _apply(
-                x, v, inverse_mass, pairs, s, change * nx + tx - fx, change * ny + ty - fy, change * nz + tz - fz, dt
-            )
-    for entry in range(count):
-        s = pairs.active[entry]
-        if pairs.gap[s] >= 0.0:
-            continue
-        push = min(push_speed, -pairs.gap[s] / PUSH_TIME) * dt
-        compliance = _compliance(inverse_mass, pairs, s)
-        if compliance <= 0.0:
+            px = (now - before) * nx + tx - fx
+            py = (now - before) * ny + ty - fy
+            pz = (now - before) * nz + tz - fz
+            changed = True
+            wi, wj, wk, wm = share[r, 0], share[r, 1], share[r, 2], share[r, 3]
+            v[i, 0] += wi * px
+            v[i, 1] += wi * py
+            v[i, 2] += wi * pz
+            v[j, 0] += wj * px
+            v[j, 1] += wj * py
+            v[j, 2] += wj * pz
+            v[k, 0] += wk * px
+            v[k, 1] += wk * py
+            v[k, 2] += wk * pz
+            v[m, 0] += wm * px
+            v[m, 1] += wm * py
+            v[m, 2] += wm * pz
+        if not changed:
+            break
+    # The places follow once, by all that was given, and what is too near goes a little apart.
+    for r in range(kept):
+        s = pairs.active[r]
+        way = dt * (pairs.impulse[s] - given[r, 0])
+        if pairs.gap[s] < 0.0:
+            way += min(push_speed, -pairs.gap[s] / PUSH_TIME) * dt * stiff[r]
+        wx = way * pairs.normal[s, 0] + dt * (pairs.friction[s, 0] - given[r, 1])
+        wy = way * pairs.normal[s, 1] + dt * (pairs.friction[s, 1] - given[r, 2])
+        wz = way * pairs.normal[s, 2] + dt * (pairs.friction[s, 2] - given[r, 3])
+        if wx == 0.0 and wy == 0.0 and wz == 0.0:
             continue
         for k in range(4):
-            i = pairs.particles[s, k]
-            if i >= 0:
-                share = pairs.weight[s, k] * inverse_mass[i] / compliance
-                for axis in range(3):
-                    x[i, axis] += share * push * pairs.normal[s, axis]
+            i, part = ends[r, k], share[r, k]
+            x[i, 0] += part * wx
+            x[i, 1] += part * wy
+            x[i, 2] += part * wz
 
 
 @kernel
@@ -322,17 +370,25 @@ def _relative_velocity(v: Floats, body_v: Floats, pairs: PairContacts, s: int) -
             vx += weight * v[i, 0]
             vy += weight * v[i, 1]
             vz += weight * v[i, 2]
+    bx, by, bz = _body_velocity(body_v, pairs, s)
+    return vx - bx, vy - by, vz - bz
+
+
+@kernel
+def _body_velocity(body_v: Floats, pairs: PairContacts, s: int) -> tuple[float, float, float]:
+    """Velocity of the body's closest point [m/s], 0 where the other part is cloth."""
     c, d = pairs.body[s, 0], pairs.body[s, 1]
-    if c >= 0:
-        along = pairs.weight[s, 2] if d >= 0 else 0.0
-        vx -= (1.0 - along) * body_v[c, 0]
-        vy -= (1.0 - along) * body_v[c, 1]
-        vz -= (1.0 - along) * body_v[c, 2]
-        if d >= 0:
-            vx -= along * body_v[d, 0]
-            vy -= along * body_v[d, 1]
-            vz -= along * body_v[d, 2]
-    return vx, vy, vz
+    if c < 0:
+        return 0.0, 0.0, 0.0
+    if d < 0:
+        return body_v[c, 0], body_v[c, 1], body_v[c, 2]
+    along = pairs.weight[s, 2]
+    rest = 1.0 - along
+    return (
+        rest * body_v[c, 0] + along * body_v[d, 0],
+        rest * body_v[c, 1] + along * body_v[d, 1],
+        rest * body_v[c, 2] + along * body_v[d, 2],
+    )
 
 
 @kernel

@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
-from cloth_core.lanes import LANES, add_to, fill, fused, inverse_root, last_lanes, load, store, take_from
+from cloth_core.lanes import (
+    LANES,
+    add_to,
+    fill,
+    fused,
+    inverse_root,
+    last_lane,
+    last_lanes,
+    load,
+    take_from,
+    together,
+)
 from cloth_core.runs import Runs, find_runs
 from cloth_core.trellis import trellis_stiffness
 from cloth_core.unique_rows import unique_rows
@@ -218,23 +229,22 @@ def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np
 
 
 @kernel
-def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, force: Floats, scratch: Floats) -> None:
+def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, force: Floats) -> None:
     """Add F = k (1 - L0 / |d|) d and the damping k tau (dv . d / |d|) d / |d| to both ends (paper, section III).
 
-    Shapes: x, v, force (3, n) [m, m/s, N]; springs with the values (L0 [m], k [N/m]); damping_time tau [s]; scratch
-    (3, at least n). Coincident ends have no direction and exert nothing.
+    Shapes: x, v, force (3, n) [m, m/s, N]; springs with the values (L0 [m], k [N/m]); damping_time tau [s].
+    Coincident ends have no direction and exert nothing.
     """
     px, py, pz = x[0], x[1], x[2]
     vx, vy, vz = v[0], v[1], v[2]
     fx, fy, fz = force[0], force[1], force[2]
-    tx, ty, tz = scratch[0], scratch[1], scratch[2]
-    one, tau = fill(1.0), fill(damping_time)
+    one, tau, none = fill(1.0), fill(damping_time), fill(0.0)
     for r in range(springs.length.shape[0]):
         i, j, n = springs.first[r, 0], springs.first[r, 1], springs.length[r]
         minus_rest_length, stiffness = fill(-springs.value[r, 0]), fill(springs.value[r, 1])
-        # What has just been stored is slow to load again at a place shifted by less than a register: the other ends of
-        # springs along a row wait until the run has been through.
-        far = abs(j - i) >= 2 * LANES
+        # What has just been stored is slow to load again at a place shifted by less than a register.
+        in_row = 1 <= j - i <= 2
+        lx, ly, lz = none, none, none
         for block in range(0, n, LANES):
             # The last block ends with the run; what it has in common with the one before is not added again.
             s = min(block, n - LANES)
@@ -247,26 +257,34 @@ def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, forc
                 rate = fused(dx, du, fused(dy, dv, dz * dw))
                 stretch = fused(tau * rate * inverse, inverse, stretch)
             factor = stiffness * stretch
-            if not far:
-                store(tx, s, factor * dx)
-                store(ty, s, factor * dy)
-                store(tz, s, factor * dz)
+            if in_row:
+                # Along a row each particle gets the force of the spring behind it and that of the one before.
+                dx, dy, dz = factor * dx, factor * dy, factor * dz
+                fresh = LANES - (block - s)
+                if j - i == 1:
+                    bx, by, bz = together(lx, dx, 1), together(ly, dy, 1), together(lz, dz, 1)
+                else:
+                    if block - s == 1:  # what has been done ends with the first lane, not before it
+                        lx, ly, lz = together(none, lx, 1), together(none, ly, 1), together(none, lz, 1)
+                    bx, by, bz = together(lx, dx, 2), together(ly, dy, 2), together(lz, dz, 2)
+                add_to(fx, a, last_lanes(dx - bx, fresh))
+                add_to(fy, a, last_lanes(dy - by, fresh))
+                add_to(fz, a, last_lanes(dz - bz, fresh))
+                lx, ly, lz = dx, dy, dz
+                continue
             if s < block:
                 factor = last_lanes(factor, LANES - (block - s))
             dx, dy, dz = factor * dx, factor * dy, factor * dz
             add_to(fx, a, dx)
             add_to(fy, a, dy)
             add_to(fz, a, dz)
-            if far:
-                take_from(fx, b, dx)
-                take_from(fy, b, dy)
-                take_from(fz, b, dz)
-        for block in range(0, 0 if far else n, LANES):
-            s = min(block, n - LANES)
-            fresh = LANES - (block - s)
-            take_from(fx, j + s, last_lanes(load(tx, s), fresh))
-            take_from(fy, j + s, last_lanes(load(ty, s), fresh))
-            take_from(fz, j + s, last_lanes(load(tz, s), fresh))
+            take_from(fx, b, dx)
+            take_from(fy, b, dy)
+            take_from(fz, b, dz)
+        for back in range(j - i if in_row else 0):
+            fx[j + n - 1 - back] -= last_lane(lx, back)
+            fy[j + n - 1 - back] -= last_lane(ly, back)
+            fz[j + n - 1 - back] -= last_lane(lz, back)
     for s in range(springs.rest.shape[0]):
         i, j = np.uintp(springs.rest[s, 0]), np.uintp(springs.rest[s, 1])
         dx, dy, dz = px[j] - px[i], py[j] - py[i], pz[j] - pz[i]

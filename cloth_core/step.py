@@ -73,21 +73,19 @@ class Workspace(NamedTuple):
     Attributes:
         x, v, force: [m, m/s, N].
         ahead: x + tau v, with the damping time of bending [m].
-        scratch: forces of one run [N].
     """
 
     x: Floats
     v: Floats
     force: Floats
     ahead: Floats
-    scratch: Floats
 
     @classmethod
     def of(cls, particles: int) -> Workspace:
         """Room for a number of particles."""
         arrays = len(cls._fields)
         # Places a multiple of 4 kB apart share a set of the first-level cache, which holds 8 of them; loops here run
-        # over 18 rows at once. So a row is that much longer that all 15 of them start at different sets.
+        # over 9 rows at once. So a row is that much longer that all 12 of them start at different sets.
         row = particles + (_ROW_SHIFT - particles) % _CACHE_WAY
         room = np.zeros(arrays * 3 * row)
         return cls(*room.reshape(arrays, 3, row))
@@ -107,19 +105,17 @@ def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
     gravity_forces(terms.mass, terms.gravity, work.force)
     if terms.air_drag != 0.0:
         air_drag_forces(work.v, terms.mass, terms.air_drag, work.force)
-    spring_forces(work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch)
+    spring_forces(work.x, work.v, terms.springs, terms.spring_damping_time, work.force)
     if terms.trellis.length.shape[0] + terms.trellis.rest.shape[0] > 0:
-        trellis_forces(work.x, work.v, terms.trellis, terms.spring_damping_time, work.force, work.scratch, work.ahead)
+        trellis_forces(work.x, work.v, terms.trellis, terms.spring_damping_time, work.force)
     if terms.lines.length.shape[0] + terms.lines.rest.shape[0] + terms.hinges.shape[0] > 0:
         tau = terms.bending_damping_time
         for axis in range(3):
             px, pv, ahead = work.x[axis], work.v[axis], work.ahead[axis]
             for i in range(terms.mass.shape[0]):
                 ahead[i] = px[i] + tau * pv[i]
-        bending_forces(
-            work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
-        )
-        twist_forces(work.ahead, terms.twists, work.force, work.scratch)
+        bending_forces(work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force)
+        twist_forces(work.ahead, terms.twists, work.force)
     if terms.seam.pairs.shape[0] > 0:
         seam_forces(work.x, work.v, terms.seam, openness, work.force)
 

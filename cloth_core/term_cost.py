@@ -43,13 +43,13 @@ def term_costs(
         "gravity": lambda: gravity_forces(terms.mass, terms.gravity, work.force),
         "air drag": lambda: air_drag_forces(work.v, terms.mass, terms.air_drag, work.force),
         "structural springs": lambda: spring_forces(
-            work.x, work.v, terms.springs, terms.spring_damping_time, work.force, work.scratch
+            work.x, work.v, terms.springs, terms.spring_damping_time, work.force
         ),
         "bending": lambda: _bending(terms, work),
     }
     if len(terms.trellis.length) + len(terms.trellis.rest):
         measured["shear springs"] = lambda: trellis_forces(
-            work.x, work.v, terms.trellis, terms.spring_damping_time, work.force, work.scratch, work.ahead
+            work.x, work.v, terms.trellis, terms.spring_damping_time, work.force
         )
     xs, vs = x.copy(), v.copy()
     measured["strain limit"] = lambda: hold_strain(xs, vs, terms.inverse_mass, terms.spring_pairs, limit, dt)
@@ -64,10 +64,8 @@ def term_costs(
 
 
 def _bending(terms: ForceTerms, work: Workspace) -> None:
-    bending_forces(
-        work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force, work.scratch
-    )
-    twist_forces(work.ahead, terms.twists, work.force, work.scratch)
+    bending_forces(work.ahead, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, work.force)
+    twist_forces(work.ahead, terms.twists, work.force)
 
 
 def _median_microseconds(run: Callable[[], object]) -> float:

@@ -20,7 +20,18 @@ from numpy.typing import NDArray
 
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
-from cloth_core.lanes import LANES, add_to, fill, fused, inverse_root, last_lanes, load, store, take_from
+from cloth_core.lanes import (
+    LANES,
+    add_to,
+    fill,
+    fused,
+    inverse_root,
+    last_lane,
+    last_lanes,
+    load,
+    take_from,
+    together,
+)
 from cloth_core.runs import Runs
 
 __all__ = ["add_trellis_stiffness", "trellis_forces", "trellis_rows", "trellis_stiffness"]
@@ -41,26 +52,24 @@ def trellis_stiffness(garment: Garment, shear: float) -> Floats:
 
 
 @kernel
-def trellis_forces(
-    x: Floats, v: Floats, cells: Runs, damping_time: float, force: Floats, first_scratch: Floats, second_scratch: Floats
-) -> None:
+def trellis_forces(x: Floats, v: Floats, cells: Runs, damping_time: float, force: Floats) -> None:
     """Add the forces of all cells to force; damping acts like a strain of damping_time times its rate.
 
-    Shapes: x, v, force (3, n) [m, m/s, N]; cells of the corners a, b, c, d in turn with the value k [N/m]; both
-    scratches (3, at least n).
+    Shapes: x, v, force (3, n) [m, m/s, N]; cells of the corners a, b, c, d in turn with the value k [N/m].
     """
     px, py, pz = x[0], x[1], x[2]
     vx, vy, vz = v[0], v[1], v[2]
     fx, fy, fz = force[0], force[1], force[2]
-    sx, sy, sz = first_scratch[0], first_scratch[1], first_scratch[2]
-    tx, ty, tz = second_scratch[0], second_scratch[1], second_scratch[2]
-    tau = fill(damping_time)
+    tau, none = fill(damping_time), fill(0.0)
     for r in range(cells.length.shape[0]):
         n, half = cells.length[r], fill(0.5 * cells.value[r, 0])
         i, j, k, m = cells.first[r, 0], cells.first[r, 1], cells.first[r, 2], cells.first[r, 3]
+        in_row = j - i == 1 and k - m == 1
+        lx, ly, lz, mx, my, mz = none, none, none, none, none, none
         for block in range(0, n, LANES):
             # The last block ends with the run; what it has in common with the one before is not added again.
             s = min(block, n - LANES)
+            fresh = LANES - (block - s)
             a, b, c, d = i + s, j + s, k + s, m + s
             x1, y1, z1 = load(px, c) - load(px, a), load(py, c) - load(py, a), load(pz, c) - load(pz, a)
             x2, y2, z2 = load(px, d) - load(px, b), load(py, d) - load(py, b), load(pz, d) - load(pz, b)
@@ -77,32 +86,37 @@ def trellis_forces(
             pull1, pull2 = pull * inverse1, pull * inverse2
             x1, y1, z1 = pull1 * x1, pull1 * y1, pull1 * z1
             x2, y2, z2 = pull2 * x2, pull2 * y2, pull2 * z2
-            # b is the next particle after a, and c after d: places that have just been stored are slow to load again.
-            store(sx, s, x1)
-            store(sy, s, y1)
-            store(sz, s, z1)
-            store(tx, s, x2)
-            store(ty, s, y2)
-            store(tz, s, z2)
-            if s < block:
-                fresh = LANES - (block - s)
-                x1, y1, z1 = last_lanes(x1, fresh), last_lanes(y1, fresh), last_lanes(z1, fresh)
-                x2, y2, z2 = last_lanes(x2, fresh), last_lanes(y2, fresh), last_lanes(z2, fresh)
+            if in_row:
+                # Each particle gets the force of the cell behind it and that of the one before, as in spring_forces.
+                add_to(fx, a, last_lanes(x1 - together(mx, x2, 1), fresh))
+                add_to(fy, a, last_lanes(y1 - together(my, y2, 1), fresh))
+                add_to(fz, a, last_lanes(z1 - together(mz, z2, 1), fresh))
+                add_to(fx, d, last_lanes(x2 - together(lx, x1, 1), fresh))
+                add_to(fy, d, last_lanes(y2 - together(ly, y1, 1), fresh))
+                add_to(fz, d, last_lanes(z2 - together(lz, z1, 1), fresh))
+                lx, ly, lz, mx, my, mz = x1, y1, z1, x2, y2, z2
+                continue
+            x1, y1, z1 = last_lanes(x1, fresh), last_lanes(y1, fresh), last_lanes(z1, fresh)
+            x2, y2, z2 = last_lanes(x2, fresh), last_lanes(y2, fresh), last_lanes(z2, fresh)
             add_to(fx, a, x1)
             add_to(fy, a, y1)
             add_to(fz, a, z1)
+            take_from(fx, c, x1)
+            take_from(fy, c, y1)
+            take_from(fz, c, z1)
+            take_from(fx, b, x2)
+            take_from(fy, b, y2)
+            take_from(fz, b, z2)
             add_to(fx, d, x2)
             add_to(fy, d, y2)
             add_to(fz, d, z2)
-        for block in range(0, n, LANES):
-            s = min(block, n - LANES)
-            fresh = LANES - (block - s)
-            take_from(fx, k + s, last_lanes(load(sx, s), fresh))
-            take_from(fy, k + s, last_lanes(load(sy, s), fresh))
-            take_from(fz, k + s, last_lanes(load(sz, s), fresh))
-            take_from(fx, j + s, last_lanes(load(tx, s), fresh))
-            take_from(fy, j + s, last_lanes(load(ty, s), fresh))
-            take_from(fz, j + s, last_lanes(load(tz, s), fresh))
+        if in_row:
+            fx[j + n - 1] -= last_lane(mx, 0)
+            fy[j + n - 1] -= last_lane(my, 0)
+            fz[j + n - 1] -= last_lane(mz, 0)
+            fx[k + n - 1] -= last_lane(lx, 0)
+            fy[k + n - 1] -= last_lane(ly, 0)
+            fz[k + n - 1] -= last_lane(lz, 0)
     for r in range(cells.rest.shape[0]):
         a, b, c, d = cells.rest[r, 0], cells.rest[r, 1], cells.rest[r, 2], cells.rest[r, 3]
         p1, q1, r1 = px[c] - px[a], py[c] - py[a], pz[c] - pz[a]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
-from cloth_core.lanes import LANES, add_to, fill, last_lanes, load, store, take_from
+from cloth_core.lanes import LANES, add_to, fill, last_lane, last_lanes, load, take_from, together
 from cloth_core.runs import Runs
 
 __all__ = ["TWIST_WEIGHTS", "twist_forces", "twist_stiffness"]
@@ -32,31 +32,39 @@ def twist_stiffness(garment: Garment, bending: float) -> Floats:
 
 
 @kernel
-def twist_forces(x: Floats, cells: Runs, force: Floats, scratch: Floats) -> None:
+def twist_forces(x: Floats, cells: Runs, force: Floats) -> None:
     """Add -k w_i (xa - xb + xc - xd) to the corners i of every cell.
 
-    Shapes: x, force (3, n) [m, N]; cells with the value k [N/m]; scratch (3, at least n).
+    Shapes: x, force (3, n) [m, N]; cells with the value k [N/m].
     """
+    none = fill(0.0)
     for axis in range(3):
-        y, f, twisted = x[axis], force[axis], scratch[axis]
+        y, f = x[axis], force[axis]
         for r in range(cells.length.shape[0]):
             n, stiff = cells.length[r], fill(cells.value[r, 0])
             a, b, c, d = cells.first[r, 0], cells.first[r, 1], cells.first[r, 2], cells.first[r, 3]
+            in_row = b - a == 1 and c - d == 1
+            before = none
             for block in range(0, n, LANES):
                 # The last block ends with the run; what it has in common with the one before is not added again.
                 s = min(block, n - LANES)
                 pull = stiff * (load(y, a + s) - load(y, b + s) + load(y, c + s) - load(y, d + s))
-                store(twisted, s, pull)
-                if s < block:
-                    pull = last_lanes(pull, LANES - (block - s))
+                fresh = LANES - (block - s)
+                if in_row:
+                    # Each particle gets the force of the cell behind it and that of the one before.
+                    change = last_lanes(together(before, pull, 1) - pull, fresh)
+                    add_to(f, a + s, change)
+                    take_from(f, d + s, change)
+                    before = pull
+                    continue
+                pull = last_lanes(pull, fresh)
                 take_from(f, a + s, pull)
-                add_to(f, d + s, pull)
-            # b is the next particle after a, and c after d: places that have just been stored are slow to load again.
-            for block in range(0, n, LANES):
-                s = min(block, n - LANES)
-                pull = last_lanes(load(twisted, s), LANES - (block - s))
                 add_to(f, b + s, pull)
                 take_from(f, c + s, pull)
+                add_to(f, d + s, pull)
+            if in_row:
+                f[b + n - 1] += last_lane(before, 0)
+                f[c + n - 1] -= last_lane(before, 0)
         for s in range(cells.rest.shape[0]):
             a, b, c, d = cells.rest[s, 0], cells.rest[s, 1], cells.rest[s, 2], cells.rest[s, 3]
             one = cells.rest_value[s, 0] * (y[a] - y[b] + y[c] - y[d])

@@ -175,7 +175,7 @@ def spring_force(
     force = np.zeros((3, len(x)))
     values = np.stack([np.asarray(rest_length, dtype=float), np.asarray(stiffness, dtype=float)], axis=1)
     runs = find_runs(np.asarray(pairs, dtype=np.int32), values)
-    spring_forces(by_axis(x), by_axis(v), runs, damping_time, force, np.zeros_like(force))
+    spring_forces(by_axis(x), by_axis(v), runs, damping_time, force)
     return np.ascontiguousarray(force.T)
 
 
@@ -185,9 +185,8 @@ def bending_force(bending: Bending, x: Floats, v: Floats | None = None, damping_
     force = np.zeros((3, len(x)))
     bending_forces(
         by_axis(ahead), bending.line_runs(), bending.hinges, bending.hinge_weights, bending.hinge_stiffness, force,
-        np.zeros_like(force),
     )  # fmt: skip
-    twist_forces(by_axis(ahead), bending.twist_runs(), force, np.zeros_like(force))
+    twist_forces(by_axis(ahead), bending.twist_runs(), force)
     return np.ascontiguousarray(force.T)
 
 

@@ -6,11 +6,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from apparatus import spring_force
+from apparatus import bending_force, spring_force
 from numpy.typing import NDArray
 
+from cloth_core.bending import Bending
 from cloth_core.kernel import kernel
-from cloth_core.lanes import add_to, fill, fused, inverse_root, last_lanes, load, store, take_from
+from cloth_core.lanes import (
+    add_to,
+    fill,
+    fused,
+    inverse_root,
+    last_lane,
+    last_lanes,
+    load,
+    store,
+    take_from,
+    together,
+)
 from cloth_core.springs import spring_forces
 
 Floats = NDArray[np.float64]
@@ -30,6 +42,15 @@ def _combined(a: Floats, b: Floats, c: Floats, out: Floats) -> None:
     store(out, 16, last_lanes(x, 3))
     add_to(out, 24, x)
     take_from(out, 25, y)
+
+
+@kernel
+def _shifted(a: Floats, b: Floats, out: Floats) -> None:
+    x, y = load(a, 0), load(b, 0)
+    store(out, 0, together(x, y, 1))
+    store(out, 8, together(x, y, 2))
+    for back in range(8):
+        out[16 + back] = last_lane(x, back)
 
 
 def test_inverse_root_is_right_to_two_units_in_the_last_place_at_every_size() -> None:
@@ -61,7 +82,16 @@ def test_operations_are_those_of_single_numbers() -> None:
     assert out[32] == -b[7]
 
 
-@pytest.mark.parametrize("apart", [1, 7, 15, 16, 60])
+def test_lanes_of_two_values_one_after_the_other() -> None:
+    both = np.random.default_rng(6).normal(size=16)
+    out = np.zeros(24)
+    _shifted(both[:8].copy(), both[8:].copy(), out)
+    np.testing.assert_array_equal(out[:8], both[7:15])
+    np.testing.assert_array_equal(out[8:16], both[6:14])
+    np.testing.assert_array_equal(out[16:], both[7::-1])
+
+
+@pytest.mark.parametrize("apart", [1, 2, 3, 7, 15, 16, 60])
 @pytest.mark.parametrize("count", [7, 8, 9, 15, 16, 17, 40])
 def test_runs_of_every_length_and_distance_give_each_spring_its_force_once(count: int, apart: int) -> None:
     chance = np.random.default_rng(count + 100 * apart)
@@ -83,6 +113,21 @@ def _plain(x: Floats, v: Floats, pairs: Any, rest_length: float, stiffness: floa
     return force
 
 
+@pytest.mark.parametrize("apart", [1, 2, 7, 60])
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 15, 16, 17, 40])
+def test_runs_of_triples_of_every_length_and_distance_bend_once(count: int, apart: int) -> None:
+    chance = np.random.default_rng(count + 100 * apart)
+    x = chance.normal(size=(count + 2 * apart, 3))
+    lines = (np.arange(count)[:, None] + apart * np.arange(3)).astype(np.int32)
+    bend = 30.0 * (x[lines[:, 0]] - 2.0 * x[lines[:, 1]] + x[lines[:, 2]])
+    expected = np.zeros_like(x)
+    for corner, weight in enumerate((-1.0, 2.0, -1.0)):
+        np.add.at(expected, lines[:, corner], weight * bend)
+    nothing = np.zeros((0, 4))
+    bending = Bending(lines, np.full(count, 30.0), nothing.astype(np.int32), nothing, np.zeros(0))
+    assert bending_force(bending, x) == pytest.approx(expected, rel=1e-12, abs=1e-12 * 30.0)
+
+
 def test_no_run_writes_beyond_its_particles() -> None:
     from apparatus import by_axis
 
@@ -93,8 +138,7 @@ def test_no_run_writes_beyond_its_particles() -> None:
     pairs = np.stack([np.arange(5, 16), np.arange(5, 16) + 1], axis=1).astype(np.int32)
     runs = find_runs(pairs, np.ones((11, 2)))
     assert list(runs.length) == [11]
-    force, scratch = np.zeros((3, 30)), np.full((3, 30), np.nan)
-    spring_forces(by_axis(x), by_axis(0.0 * x), runs, 0.0, force, scratch)
+    force = np.zeros((3, 30))
+    spring_forces(by_axis(x), by_axis(0.0 * x), runs, 0.0, force)
     assert (force[:, :5] == 0.0).all()
     assert (force[:, 17:] == 0.0).all()
-    assert np.isnan(scratch[:, 11:]).all()

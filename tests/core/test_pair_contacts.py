@@ -1,0 +1,82 @@
+"""Impulses between two layers of cloth against the same written plainly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cloth_core.contact import Contact, ContactState
+from cloth_core.pair_contacts import PUSH_TIME, PairContacts, hold_pairs
+from cloth_core.self_contact import SelfContact
+
+Floats = NDArray[np.float64]
+
+OFFSET, SPACING, SIDE = 0.001, 0.01, 7
+DT, PUSH_SPEED, SWEEPS = 1e-4, 0.1, 4
+NOTHING = np.zeros((0, 3))
+
+
+def two_layers(seed: int) -> tuple[Floats, Floats, Floats, ContactState]:
+    """Two uneven sheets, about the offset apart: places, velocities, inverse masses, contacts."""
+    rng = np.random.default_rng(seed)
+    u, w = (a.ravel() for a in np.meshgrid(np.arange(SIDE), np.arange(SIDE), indexing="ij"))
+    corner = np.flatnonzero((u < SIDE - 1) & (w < SIDE - 1))
+    one = np.stack([corner, corner + SIDE, corner + SIDE + 1], axis=1)
+    other = np.stack([corner, corner + SIDE + 1, corner + 1], axis=1)
+    sheet = np.concatenate([one, other])
+    triangles = np.concatenate([sheet, sheet + len(u)]).astype(np.int32)
+    flat = SPACING * np.stack([u, w, 0.0 * u], axis=1)
+    x = np.concatenate([flat, flat + np.array([0.3 * SPACING, 0.4 * SPACING, 1.1 * OFFSET])])
+    x[:, 2] += 0.2 * OFFSET * rng.uniform(-1.0, 1.0, len(x))
+    cloth = SelfContact(triangles, np.arange(len(x)), np.full(len(x), SPACING), OFFSET)
+    state = Contact(triangles, None, cloth, radius=0.004).search(x, 0.002)
+    inverse_mass = 1.0 / rng.uniform(1e-5, 2e-5, len(x))
+    inverse_mass[rng.integers(0, len(x), 5)] = 0.0
+    v = 0.3 * rng.normal(size=x.shape)
+    v[inverse_mass == 0.0] = 0.0
+    return x, v, inverse_mass, state
+
+
+def plainly_held(x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, friction: float) -> Floats:
+    """Places and velocities after the sweeps, each impulse given at once where it acts; and the impulses, (s,)."""
+    impulse, rubbing = np.zeros(len(pairs.kind)), np.zeros((len(pairs.kind), 3))
+    active = pairs.active[: pairs.active_count[0]]
+    for _ in range(SWEEPS):
+        for s in active:
+            i, weight, normal = pairs.particles[s], pairs.weight[s], pairs.normal[s]
+            compliance = (weight**2 * inverse_mass[i]).sum()
+            if compliance == 0.0:
+                continue
+            relative = weight @ v[i]
+            approach = relative @ normal
+            now = max(impulse[s] + (-max(pairs.gap[s], 0.0) / DT - approach) / compliance, 0.0)
+            across = rubbing[s] - (relative - approach * normal) / compliance
+            across *= min(1.0, friction * now / max(np.linalg.norm(across), 1e-300))
+            given = (now - impulse[s]) * normal + across - rubbing[s]
+            impulse[s], rubbing[s] = now, across
+            change = (weight * inverse_mass[i])[:, None] * given
+            v[i] += change
+            x[i] += DT * change
+    for s in active:
+        i, weight = pairs.particles[s], pairs.weight[s]
+        compliance = (weight**2 * inverse_mass[i]).sum()
+        if pairs.gap[s] < 0.0 and compliance > 0.0:
+            way = min(PUSH_SPEED, -pairs.gap[s] / PUSH_TIME) * DT / compliance
+            x[i] += way * (weight * inverse_mass[i])[:, None] * pairs.normal[s]
+    return impulse
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("seed", range(3))
+def test_impulses_are_those_of_sweeping_over_the_contacts_one_by_one(seed: int, friction: float) -> None:
+    x, v, inverse_mass, state = two_layers(seed)
+    x += DT * v
+    start_x, start_v = x.copy(), v.copy()
+    moved = ((x - state.origin) ** 2).sum(axis=1)
+    hold_pairs(x, v, inverse_mass, state.pairs, NOTHING, NOTHING, friction, PUSH_SPEED, DT, moved)
+    impulse = plainly_held(start_x, start_v, inverse_mass, state.pairs, friction)
+    assert np.count_nonzero(impulse) > 10
+    np.testing.assert_allclose(v, start_v, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(x, start_x, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(state.pairs.impulse, impulse, rtol=1e-9, atol=1e-18)
