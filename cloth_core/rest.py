@@ -8,12 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RestWatch", "slowest_swing"]
+__all__ = ["RestWatch", "StallWatch", "slowest_swing"]
 
 Floats = NDArray[np.float64]
 
 # Nothing that hangs swings more slowly than this [rad/s]; without gravity it stands for all motion.
 _LEAST_FREQUENCY = 2.0
+# Movements that shrink by less than this share within the patience do not end.
+_SHRINKS = 0.2
 
 
 def slowest_swing(gravity: Sequence[float], height: float) -> float:
@@ -38,6 +40,7 @@ class RestWatch:
 
     Attributes:
         movement: farthest way of any particle in the last window [m]; None before the first one has ended.
+        farthest: the particle that went so far.
         ratio: of the last two such ways; None before.
     """
 
@@ -46,6 +49,7 @@ class RestWatch:
         self._times: list[float] = []
         self._positions: list[Floats] = []
         self.movement: float | None = None
+        self.farthest = 0
         self.ratio: float | None = None
 
     def open(self, time: float, x: Floats) -> None:
@@ -61,7 +65,9 @@ class RestWatch:
         """End a window; whether all particles are at rest. It takes two windows at least."""
         self._times = [*self._times[-2:], time]
         self._positions = [*self._positions[-2:], x.copy()]
-        last = _largest(self._positions[-1] - self._positions[-2])
+        way = np.sqrt(((self._positions[-1] - self._positions[-2]) ** 2).sum(axis=1))
+        self.farthest = int(way.argmax())
+        last = float(way[self.farthest])
         self.ratio = last / self.movement if self.movement else None
         self.movement = last
         if len(self._times) < 3:
@@ -73,5 +79,21 @@ class RestWatch:
         return float(highest_speed.max()) * self._window <= self._displacement
 
 
-def _largest(way: Floats) -> float:
-    return float(np.sqrt((way**2).sum(axis=1).max()))
+
+class StallWatch:
+    """Whether movements still shrink, or cloth trembles for ever: stretched over a body, for example.
+
+    Args:
+        patience: time within which they must have shrunk by a fifth [s].
+    """
+
+    def __init__(self, patience: float) -> None:
+        self.patience = patience
+        self._least = math.inf
+        self._since = 0.0
+
+    def stalls(self, time: float, movement: float) -> bool:
+        """Take note of the largest movement [m] in the window that ended at a time [s]."""
+        if movement < (1.0 - _SHRINKS) * self._least:
+            self._least, self._since = movement, time
+        return time - self._since > self.patience

@@ -25,6 +25,9 @@ _INTERVAL = 0.05
 _STALLED = 0.9
 # The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
 _FIRMER, _FIRMEST = 1.15, 8.0
+# Once they are pulled as hard as may be, and have come no nearer by this share, all in all, for so long [s], the seams are
+# given up before the sewing time is over: what holds them open, a garment that is too tight or a limb, does not go away.
+_NEARER, _PATIENCE = 0.02, 0.4
 # Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
 # the distance at which points may merge down to where seams count as closed.
 _ROUNDS = 12
@@ -47,6 +50,8 @@ class SeamClosing:
         self._widest_gap = math.inf
         self._firmness = 1.0
         self._next_look = 0.0
+        self._least_open = math.inf
+        self._hopeful_until = 0.0
 
     def merged(self, scene: Scene, model: Model, x: Floats, time: float, sewn_for: float) -> Model | None:
         """The model in which the seams are merged, point by point; None as long as they shall go on closing.
@@ -67,7 +72,7 @@ class SeamClosing:
         self._widest_gap = widest
         if model.contact is not None and model.contact.cloth is not None:
             model.contact.cloth.gaps_may_leave = widest >= _STALLED * before
-        late = sewn_for >= settings.sewing_time
+        late = sewn_for >= settings.sewing_time or self._given_up(scene, x, time)
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
@@ -87,6 +92,16 @@ class SeamClosing:
         closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
         self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
         return chosen
+
+    def _given_up(self, scene: Scene, x: Floats, time: float) -> bool:
+        """Whether what is too far apart to merge has come no nearer for a while, however hard it was pulled."""
+        limit = scene.settings.merge_distance
+        gaps = np.concatenate([np.linalg.norm(x[s.first] - x[s.second], axis=1) for s in scene.garment.seams])
+        still_open = float(gaps[gaps > limit].sum())
+        if still_open < (1.0 - _NEARER) * self._least_open or self._firmness < _FIRMEST:
+            self._hopeful_until = time + _PATIENCE
+        self._least_open = min(self._least_open, still_open)
+        return still_open > 0.0 and time >= self._hopeful_until
 
     def _pull_harder(self, model: Model) -> None:
         """What no longer gets nearer is pulled with a little more force from one look to the next."""

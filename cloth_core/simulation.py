@@ -23,7 +23,7 @@ from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
 from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
-from cloth_core.rest import RestWatch, slowest_swing
+from cloth_core.rest import RestWatch, StallWatch, slowest_swing
 from cloth_core.scene import Scene
 from cloth_core.seam_closing import SeamClosing, count_crossings, why_open
 from cloth_core.sewing import seam_gaps
@@ -53,6 +53,9 @@ _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
 _STEPS_PER_SEARCH = 30
 _LEAST_REACH = 0.001
+# Fastest that anything moves while a run looks for rest [m/s]: about as fast as a hem falls. What is faster is cloth that
+# snaps back where it was held, by a seam that merges for example.
+_RUSH = 3.0
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
 _SOFTNESS = 1.0 / 16.0
@@ -66,6 +69,8 @@ _SEWING_DRAG = 10.0
 _BRAKING = 30.0
 # Braking ends when movements are this share of what counts as rest.
 _CALM = 0.5
+# A run whose seams stay open is given up when its movements no longer shrink for so long [s].
+_PATIENCE = 4.0
 # A coarse start ends when movements are this many times what counts as rest.
 _NEARLY = 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
@@ -132,6 +137,8 @@ class Simulation:
         self._has_settled = self._asleep = False
         self._time_not_stepped = 0.0
         self._seams = SeamClosing()
+        self._stall_watch = StallWatch(_PATIENCE)
+        self._stalled = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
         self._rough = False
@@ -244,9 +251,9 @@ class Simulation:
             if self.time >= self.scene.settings.max_time:
                 reason = f"not at rest after {self.time:.3g} s, the longest time that the settings allow"
                 break
-            unsupported = self._unsupported()
-            if unsupported:
-                reason = unsupported
+            hopeless = self._unsupported() or self._stalled
+            if hopeless:
+                reason = hopeless
                 break
             self.tick()
             if on_tick is not None and on_tick(self):
@@ -272,7 +279,7 @@ class Simulation:
             nonlocal stopped
             self.time, self.steps, self.phase = coarse.time, coarse.steps, coarse.phase
             stopped = on_tick is not None and bool(on_tick(self))
-            return stopped or not coarse._calming
+            return stopped or not coarse._calming or bool(coarse._seams.open_seams)
 
         try:
             coarse = Simulation(replace(scene, fabric=scene.fabric.smoothed).with_spacing(spacing))
@@ -361,6 +368,7 @@ class Simulation:
 
     def _wake(self) -> None:
         self.settled = self._asleep = False
+        self._stall_watch, self._stalled = StallWatch(_PATIENCE), ""
         if self.phase == REST:
             self.phase = DRAPING
         self._open_window()
@@ -410,8 +418,9 @@ class Simulation:
         self.steps += done
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
-        if self._seeking_rest and self.phase != SEWING:
-            if self._calming:
+        if self._seeking_rest:
+            self._limit_speed()
+            if self.phase != SEWING and self._calming:
                 self._calm()
         if self.model.softness < 1.0 and self.time - self._sewing_began > settings.closing_time:
             self._stiffen()
@@ -551,6 +560,9 @@ class Simulation:
             return
         self._warnings += why_open(self.scene, self._seams.open_seams, self.positions)
         self.phase = DRAPING
+        if self._seeking_rest:
+            # Merging moves points at once: what that stretches or shortens comes back softly.
+            self.model.soften(_SOFTNESS)
         self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
 
     def _open_window(self) -> None:
@@ -564,6 +576,8 @@ class Simulation:
         at_rest = self._rest.at_rest(self.time, self._x)
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
+        if self._seams.open_seams and self._stall_watch.stalls(self.time, movement):
+            self._stalled = self._why_restless(movement)
         if self._seeking_rest and self._calming:
             if movement <= (_NEARLY if self._rough else _CALM) * allowed:
                 # Whether it stays is seen when nothing stops it.
@@ -579,6 +593,11 @@ class Simulation:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
+
+    def _limit_speed(self) -> None:
+        speed = np.sqrt((self._v**2).sum(axis=1))
+        rushing = speed > _RUSH
+        self._v[rushing] *= (_RUSH / speed[rushing])[:, None]
 
     def _calm(self) -> None:
         """Brake what slows down already: it has passed the place that it is drawn to.
@@ -624,6 +643,17 @@ class Simulation:
             if float(self._x[:, 2].max()) < lowest - 0.05:
                 return "not supported by the body: it has fallen past it"
         return None
+
+    def _why_restless(self, movement: float) -> str:
+        farthest = self._rest.farthest
+        place = ", ".join(f"{value:.2f}" for value in self._x[farthest])
+        garment = self.scene.garment
+        panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(self.model.number == farthest)[0])]]
+        return (
+            f"with open seams it does not come to rest: panel '{panel}' at ({place}) m still moves by "
+            f"{1000 * movement:.1f} mm in {self.scene.settings.rest_window:g} s, no less than "
+            f"{self._stall_watch.patience:g} s before; mend what holds the seams open"
+        )
 
     # -- results --
 
