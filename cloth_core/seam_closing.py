@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.intersections import crossing_edges, crossing_pairs, self_crossing_edges, self_crossing_pairs
 from cloth_core.model import Model
+from cloth_core.nudging import nudged_apart
 from cloth_core.scene import Scene
 from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.sewing import seam_gaps
@@ -32,6 +33,8 @@ _NEARER, _PATIENCE = 0.02, 0.4
 # the distance at which points may merge down to where seams count as closed.
 _ROUNDS = 12
 _LIMITS = 4
+# Times that what would cross is nudged apart before the seams are given up: it takes a moment.
+_NUDGES = 3
 # Points of which other places are tried when they merge.
 _PLACES = 40
 
@@ -50,6 +53,7 @@ class SeamClosing:
         self._widest_gap = math.inf
         self._firmness = 1.0
         self._next_look = 0.0
+        self._nudges = 0
         self._least_open = math.inf
         self._hopeful_until = 0.0
 
@@ -76,18 +80,26 @@ class SeamClosing:
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
-        near = _within(scene, x, settings.merge_distance)
+        near = within = _within(scene, x, settings.merge_distance)
         if not late and not all(points.all() for points in near):
             self._pull_harder(model)
             return None
         present = count_crossings(scene, model, x)
         self.positions, crossings = _placed(scene, x, near, present)
+        if crossings > present and (late or self._nudges < _NUDGES):
+            self._nudges += 1
+            self.positions, crossings = _nudged(scene, self.positions, near, present)
         if crossings > present:
             if not late:
                 return None
             near = _without_crossing(scene, x, _points_that_count(scene, model, x), present)
-            self.positions, _ = _placed(scene, x, near, present)
-        chosen = Model(scene, closed=_parts(scene, near))
+            self.positions, crossings = _placed(scene, x, near, present)
+            if crossings > present:
+                self.positions, _ = _nudged(scene, self.positions, near, present)
+        # What was near enough but would have crossed is held where it is; what a limb holds apart is not: it would pull
+        # the cloth about for ever.
+        left = [close & ~merges for close, merges in zip(within, near, strict=True)]
+        chosen = Model(scene, closed=_parts(scene, near), held=_parts(scene, left))
         whole = {seam.name: len(seam.first) for seam in scene.garment.seams}
         closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
         self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
@@ -196,6 +208,14 @@ def _placed(scene: Scene, x: Floats, which: list[Bools], present: int) -> tuple[
             if fewer < count:
                 placed, count, crossing = trial, fewer, there
     return placed, count
+
+
+def _nudged(scene: Scene, placed: Floats, which: list[Bools], present: int) -> tuple[Floats, int]:
+    """Positions [m], (n, 3), of what merges, with the points moved a little that keep something from crossing."""
+    number = merged_numbers(len(placed), _parts(scene, which))
+    triangles = np.asarray(number[scene.garment.triangles], dtype=np.int32)
+    sewn, crossings = nudged_apart(_gathered(scene, placed, number), triangles, scene.body, present)
+    return np.asarray(sewn[number]), crossings
 
 
 def _points_that_count(scene: Scene, model: Model, x: Floats) -> Ints:
