@@ -14,8 +14,8 @@ Floats = NDArray[np.float64]
 
 # Nothing that hangs swings more slowly than this [rad/s]; without gravity it stands for all motion.
 _LEAST_FREQUENCY = 2.0
-# Movements that shrink by less than this share within the patience do not end.
-_SHRINKS = 0.2
+# Movements that do not shrink by this share within the patience do not end.
+_SHRINKS = 0.5
 
 
 def slowest_swing(gravity: Sequence[float], height: float) -> float:
@@ -79,12 +79,11 @@ class RestWatch:
         return float(highest_speed.max()) * self._window <= self._displacement
 
 
-
 class StallWatch:
     """Whether movements still shrink, or cloth trembles for ever: stretched over a body, for example.
 
     Args:
-        patience: time within which they must have shrunk by a fifth [s].
+        patience: time within which they must have halved [s].
     """
 
     def __init__(self, patience: float) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from cloth_core.scene import Scene
 from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.sewing import seam_gaps
 
-__all__ = ["SeamClosing", "count_crossings", "why_open"]
+__all__ = ["SeamClosing", "count_crossings"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -24,17 +26,23 @@ Bools = NDArray[np.bool_]
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _INTERVAL = 0.05
 _STALLED = 0.9
+# Points that had to stay two are looked at again this often [s], and so many by themselves.
+_LATER, _SINGLY = 0.2, 12
 # The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
-_FIRMER, _FIRMEST = 1.15, 8.0
-# Once they are pulled as hard as may be, and have come no nearer by this share, all in all, for so long [s], the seams are
-# given up before the sewing time is over: what holds them open, a garment that is too tight or a limb, does not go away.
-_NEARER, _PATIENCE = 0.02, 0.4
+_FIRMER, _FIRMEST = 1.25, 8.0
+# Once they are pulled as hard as may be, and have come no nearer by this share, all in all, for so long [s], the seams
+# are given up before the sewing time is over: what holds them open, a limb or too little cloth, will not go away.
+_NEARER, _PATIENCE = 0.02, 0.3
 # Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
 # the distance at which points may merge down to where seams count as closed.
 _ROUNDS = 12
 _LIMITS = 4
 # Times that what would cross is nudged apart before the seams are given up: it takes a moment.
 _NUDGES = 3
+# Cloth that is stretched by this share of the fabric's limit is tight.
+_TIGHT = 0.8
+# A side is along warp or weft if it leaves it by less than this slope.
+_ALONG = 0.2
 # Points of which other places are tried when they merge.
 _PLACES = 40
 
@@ -54,6 +62,8 @@ class SeamClosing:
         self._firmness = 1.0
         self._next_look = 0.0
         self._nudges = 0
+        self._held: list[Bools] = []
+        self._reasons: dict[str, str] = {}
         self._least_open = math.inf
         self._hopeful_until = 0.0
 
@@ -98,11 +108,48 @@ class SeamClosing:
                 self.positions, _ = _nudged(scene, self.positions, near, present)
         # What was near enough but would have crossed is held where it is; what a limb holds apart is not: it would pull
         # the cloth about for ever.
-        left = [close & ~merges for close, merges in zip(within, near, strict=True)]
-        chosen = Model(scene, closed=_parts(scene, near), held=_parts(scene, left))
-        whole = {seam.name: len(seam.first) for seam in scene.garment.seams}
-        closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
-        self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
+        self._held = [close & ~merges for close, merges in zip(within, near, strict=True)]
+        chosen = self._chosen(scene, near, gaps)
+        self._reasons = {s.name: _reason(scene, s, x) for s in scene.garment.seams if s.name in self.open_seams}
+        return chosen
+
+    def why_open(self, gaps: dict[str, float]) -> list[str]:
+        """One line for each seam that stays open, with its gap [m] and what lay in it when the others merged."""
+        return [
+            f"seam {name}: still {1000 * gaps[name]:.1f} mm open, it stays open; {self._reasons[name]}"
+            for name in self.open_seams
+        ]
+
+    def merged_later(self, scene: Scene, model: Model, x: Floats, time: float) -> Model | None:
+        """The model in which points that had to stay two have merged as well, as soon as some of them can; else None.
+
+        Cloth that lay in the way has moved once gravity acts. Arguments as in `merged`; `model` is that of the drape.
+        """
+        if time < self._next_look or not any(points.any() for points in self._held):
+            return None
+        self._next_look = time + _LATER
+        merged = [model.number[s.first] == model.number[s.second] for s in scene.garment.seams]
+        near = _within(scene, x, scene.settings.merge_distance)
+        wanted = [points & close for points, close in zip(self._held, near, strict=True)]
+        present = count_crossings(scene, model, x)
+        for more in (wanted, *islice(_one_by_one(wanted), _SINGLY)):
+            which = [points | also for points, also in zip(merged, more, strict=True)]
+            if not any((points & ~already).any() for points, already in zip(which, merged, strict=True)):
+                continue
+            number = merged_numbers(len(x), _parts(scene, which))
+            if _crossing_points(scene, x, number)[0] <= present:
+                self.positions = _gathered(scene, x, number)[number]
+                self._held = [points & ~done for points, done in zip(self._held, which, strict=True)]
+                return self._chosen(scene, which, seam_gaps(scene.garment, x))
+        return None
+
+    def _chosen(self, scene: Scene, which: list[Bools], gaps: dict[str, float]) -> Model:
+        chosen = Model(scene, closed=_parts(scene, which), held=_parts(scene, self._held))
+        self.open_seams = {
+            seam.name: gaps[seam.name]
+            for seam, points in zip(scene.garment.seams, which, strict=True)
+            if not points.all()
+        }
         return chosen
 
     def _given_up(self, scene: Scene, x: Floats, time: float) -> bool:
@@ -135,28 +182,12 @@ def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     return crossings
 
 
-def why_open(scene: Scene, open_seams: dict[str, float], x: Floats) -> list[str]:
-    """One line for each seam that stays open, with its gap and what lies in it; x (n, 3) [m] in the unsewn numbering.
-
-    Args:
-        scene: of the run.
-        open_seams: gap of each [m].
-        x: positions when the others merge.
-    """
-    lines = []
-    for seam in scene.garment.seams:
-        if seam.name not in open_seams:
-            continue
-        far = np.linalg.norm(x[seam.first] - x[seam.second], axis=1) > scene.settings.seam_tolerance
-        gaps = seam_gap_triangles((seam,))
-        gaps = gaps[np.isin(gaps, np.concatenate([seam.first[far], seam.second[far]])).any(axis=1)]
-        line = f"seam {seam.name}: still {1000 * open_seams[seam.name]:.1f} mm open, it stays open; "
-        lines.append(line + _what_lies_in(scene, gaps, x))
-    return lines
-
-
-def _what_lies_in(scene: Scene, gaps: Ints, x: Floats) -> str:
-    """What lies in a gap, and where, as a piece of the message."""
+def _reason(scene: Scene, seam: Seam, x: Floats) -> str:
+    """What holds a seam open at x (n, 3) [m], unsewn numbering, and where, as the end of a message."""
+    far = np.linalg.norm(x[seam.first] - x[seam.second], axis=1) > scene.settings.seam_tolerance
+    points = np.concatenate([seam.first[far], seam.second[far]])
+    gaps = seam_gap_triangles((seam,))
+    gaps = gaps[np.isin(gaps, points).any(axis=1)]
     body = scene.body
     if body is not None and len(gaps):
         edges, pairs = crossing_pairs(body.vertices, body.triangles, x, gaps)
@@ -165,13 +196,37 @@ def _what_lies_in(scene: Scene, gaps: Ints, x: Floats) -> str:
         crossed = body.vertices[body.triangles[np.unique(pairs[:, 1])]].mean(axis=1)
         places = np.concatenate([ends, crossed])
         if len(places):
-            nearest = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
-            place = ", ".join(f"{value:.2f}" for value in places[nearest])
+            nearest = places[np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1))]
             return (
-                f"the body lies in it at ({place}) m: too tight there, or its two sides start on different sides of a "
-                "limb"
+                f"the body lies in it at {_place(nearest)}: too tight there, or its two sides start on different sides "
+                "of a limb"
             )
-    return "cloth lies in it, or what is sewn there pulls it apart"
+    if not len(points):
+        return "cloth lies in it"
+    widest = seam.first[np.argmax(np.linalg.norm(x[seam.first] - x[seam.second], axis=1))]
+    stretch = _stretch_beside(scene, points, x)
+    if stretch >= _TIGHT * scene.fabric.strain_limit:
+        return (
+            f"the cloth beside it at {_place(x[widest])} is stretched by {100 * stretch:.0f} %: too tight there; widen "
+            "the pattern or take a smaller body"
+        )
+    return f"cloth lies in it at {_place(x[widest])}, or what is sewn there pulls it apart"
+
+
+def _stretch_beside(scene: Scene, points: Ints, x: Floats) -> float:
+    """Largest stretch along warp and weft of the cloth around some points."""
+    garment = scene.garment
+    triangles = garment.triangles[np.isin(garment.triangles, points).any(axis=1)]
+    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    way = np.abs(garment.rest[sides[:, 0]] - garment.rest[sides[:, 1]])
+    sides, way = (each[way.min(axis=1) < _ALONG * way.max(axis=1)] for each in (sides, way))
+    rest = np.linalg.norm(way, axis=1)
+    length = np.linalg.norm(x[sides[:, 0]] - x[sides[:, 1]], axis=1)
+    return float((length / rest - 1.0).max(initial=0.0))
+
+
+def _place(point: Floats) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in point)}) m"
 
 
 def _within(scene: Scene, x: Floats, limit: float) -> list[Bools]:
@@ -216,6 +271,15 @@ def _nudged(scene: Scene, placed: Floats, which: list[Bools], present: int) -> t
     triangles = np.asarray(number[scene.garment.triangles], dtype=np.int32)
     sewn, crossings = nudged_apart(_gathered(scene, placed, number), triangles, scene.body, present)
     return np.asarray(sewn[number]), crossings
+
+
+def _one_by_one(which: list[Bools]) -> Iterator[list[Bools]]:
+    """The points of each seam, one at a time."""
+    for k, points in enumerate(which):
+        for point in np.flatnonzero(points).tolist():
+            single = [np.zeros_like(other) for other in which]
+            single[k][point] = True
+            yield single
 
 
 def _points_that_count(scene: Scene, model: Model, x: Floats) -> Ints:

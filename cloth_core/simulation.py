@@ -25,7 +25,7 @@ from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
 from cloth_core.rest import RestWatch, StallWatch, slowest_swing
 from cloth_core.scene import Scene
-from cloth_core.seam_closing import SeamClosing, count_crossings, why_open
+from cloth_core.seam_closing import SeamClosing, count_crossings
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
@@ -53,8 +53,8 @@ _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
 _STEPS_PER_SEARCH = 30
 _LEAST_REACH = 0.001
-# Fastest that anything moves while a run looks for rest [m/s]: about as fast as a hem falls. What is faster is cloth that
-# snaps back where it was held, by a seam that merges for example.
+# Fastest that anything moves while a run looks for rest [m/s]: about as fast as a hem falls. What is faster is cloth
+# that snaps back where it was held, by a seam that merges for example.
 _RUSH = 3.0
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
@@ -70,7 +70,7 @@ _BRAKING = 30.0
 # Braking ends when movements are this share of what counts as rest.
 _CALM = 0.5
 # A run whose seams stay open is given up when its movements no longer shrink for so long [s].
-_PATIENCE = 4.0
+_PATIENCE = 2.0
 # A coarse start ends when movements are this many times what counts as rest.
 _NEARLY = 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
@@ -426,6 +426,8 @@ class Simulation:
             self._stiffen()
         if self.phase == SEWING:
             self._sew()
+        elif self._sew_the_rest():
+            pass
         elif self._rest.due(self.time):
             self._check_rest()
         if self.time >= self._next_check:
@@ -558,12 +560,21 @@ class Simulation:
         model = self._seams.merged(self.scene, self.model, self.positions, self.time, self.time - self._sewing_began)
         if model is None:
             return
-        self._warnings += why_open(self.scene, self._seams.open_seams, self.positions)
         self.phase = DRAPING
         if self._seeking_rest:
             # Merging moves points at once: what that stretches or shortens comes back softly.
             self.model.soften(_SOFTNESS)
         self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
+
+    def _sew_the_rest(self) -> bool:
+        """Merge points of seams that had to stay open at first; whether some were."""
+        if not self._seams.open_seams or self._body_motion is not None or self.grasps:
+            return False
+        model = self._seams.merged_later(self.scene, self.model, self.positions, self.time)
+        if model is None:
+            return False
+        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
+        return True
 
     def _open_window(self) -> None:
         settings, gravity = self.scene.settings, self.scene.gravity
@@ -664,7 +675,7 @@ class Simulation:
         structural = strain[model.springs.family == SpringFamily.STRUCTURAL]
         shear = strain[model.springs.family == SpringFamily.SHEAR]
         gaps = seam_gaps(scene.garment, self.positions)
-        warnings = [*scene.warnings, *self._warnings]
+        warnings = [*scene.warnings, *self._warnings, *self._seams.why_open(gaps)]
         max_strain = float(structural.max(initial=0.0))
         if max_strain > scene.fabric.strain_limit:
             warnings.append(

@@ -19,7 +19,9 @@ SIDES = [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))]
 
 def column(radius: float, x: float = 0.0) -> trimesh.Trimesh:
     """An upright column, 1.2 m high."""
-    return trimesh.creation.cylinder(radius, 1.2, sections=40, transform=trimesh.transformations.translation_matrix([x, 0, 0.6]))
+    return trimesh.creation.cylinder(
+        radius, 1.2, sections=40, transform=trimesh.transformations.translation_matrix([x, 0, 0.6])
+    )
 
 
 def trunk_and_arms(*arms: float) -> Body:

@@ -21,7 +21,7 @@ def crossing_sides(x: np.ndarray, triangles: np.ndarray) -> int:
 def two_sheets(depth: float) -> tuple[np.ndarray, np.ndarray]:
     """A sheet, and one above it of which one corner hangs through it by depth [m]."""
     flat = sheet(0.2, 0.2, 0.04)
-    upper = flat.start + [0.0131, 0.0172, 0.02]
+    upper = flat.start + np.array([0.0131, 0.0172, 0.02])
     upper[int(np.linalg.norm(flat.start, axis=1).argmin())] -= [0.0, 0.0, 0.02 + depth]
     x = np.concatenate([flat.start, upper])
     return x, np.concatenate([flat.triangles, flat.triangles + len(upper)])
