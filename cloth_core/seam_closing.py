@@ -26,8 +26,9 @@ Bools = NDArray[np.bool_]
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _INTERVAL = 0.05
 _STALLED = 0.9
-# Points that had to stay two are looked at again this often [s], and so many by themselves.
-_LATER, _SINGLY = 0.2, 12
+# Points that had to stay two hold on to each other for so long [s]; then they are let go, so that the cloth comes to
+# rest. Meanwhile they are looked at again this often [s], and so many by themselves.
+_HELD, _LATER, _SINGLY = 1.5, 0.2, 12
 # The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
 _FIRMER, _FIRMEST = 1.25, 8.0
 # Once they are pulled as hard as may be, and have come no nearer by this share, all in all, for so long [s], the seams
@@ -39,6 +40,8 @@ _ROUNDS = 12
 _LIMITS = 4
 # Times that what would cross is nudged apart before the seams are given up: it takes a moment.
 _NUDGES = 3
+# What is near enough but would cross waits so long for cloth to get out of the way [s] before stitches are left out.
+_WAIT = 0.3
 # Cloth that is stretched by this share of the fabric's limit is tight.
 _TIGHT = 0.8
 # A side is along warp or weft if it leaves it by less than this slope.
@@ -62,7 +65,9 @@ class SeamClosing:
         self._firmness = 1.0
         self._next_look = 0.0
         self._nudges = 0
+        self._crossed_since = math.inf
         self._held: list[Bools] = []
+        self._held_until = math.inf
         self._reasons: dict[str, str] = {}
         self._least_open = math.inf
         self._hopeful_until = 0.0
@@ -100,15 +105,20 @@ class SeamClosing:
             self._nudges += 1
             self.positions, crossings = _nudged(scene, self.positions, near, present)
         if crossings > present:
-            if not late:
+            self._crossed_since = min(self._crossed_since, time)
+            if not late and time < self._crossed_since + _WAIT:
                 return None
             near = _without_crossing(scene, x, _points_that_count(scene, model, x), present)
             self.positions, crossings = _placed(scene, x, near, present)
             if crossings > present:
-                self.positions, _ = _nudged(scene, self.positions, near, present)
+                self.positions, crossings = _nudged(scene, self.positions, near, present)
+            if crossings > present and not late:
+                self._next_look = time + _WAIT
+                return None
         # What was near enough but would have crossed is held where it is; what a limb holds apart is not: it would pull
         # the cloth about for ever.
         self._held = [close & ~merges for close, merges in zip(within, near, strict=True)]
+        self._held_until = time + _HELD
         chosen = self._chosen(scene, near, gaps)
         self._reasons = {s.name: _reason(scene, s, x) for s in scene.garment.seams if s.name in self.open_seams}
         return chosen
@@ -123,12 +133,16 @@ class SeamClosing:
     def merged_later(self, scene: Scene, model: Model, x: Floats, time: float) -> Model | None:
         """The model in which points that had to stay two have merged as well, as soon as some of them can; else None.
 
-        Cloth that lay in the way has moved once gravity acts. Arguments as in `merged`; `model` is that of the drape.
+        Cloth that lay in the way has moved once gravity acts. What still cannot after a while is let go.
+        Arguments as in `merged`; `model` is that of the drape.
         """
         if time < self._next_look or not any(points.any() for points in self._held):
             return None
         self._next_look = time + _LATER
         merged = [model.number[s.first] == model.number[s.second] for s in scene.garment.seams]
+        if time > self._held_until:
+            self._held, self.positions = [np.zeros_like(points) for points in self._held], x
+            return self._chosen(scene, merged, seam_gaps(scene.garment, x))
         near = _within(scene, x, scene.settings.merge_distance)
         wanted = [points & close for points, close in zip(self._held, near, strict=True)]
         present = count_crossings(scene, model, x)
@@ -207,8 +221,8 @@ def _reason(scene: Scene, seam: Seam, x: Floats) -> str:
     stretch = _stretch_beside(scene, points, x)
     if stretch >= _TIGHT * scene.fabric.strain_limit:
         return (
-            f"the cloth beside it at {_place(x[widest])} is stretched by {100 * stretch:.0f} %: too tight there; widen "
-            "the pattern or take a smaller body"
+            f"the cloth beside it at {_place(x[widest])} is stretched by {100 * stretch:.0f} %: too tight there, or "
+            "cloth lies in it"
         )
     return f"cloth lies in it at {_place(x[widest])}, or what is sewn there pulls it apart"
 
