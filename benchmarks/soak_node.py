@@ -18,6 +18,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -447,18 +448,21 @@ def probe(output: Path) -> None:
     with ros_node("soak_probe") as node, open(output / "probe.jsonl", "w", buffering=1) as file:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        # Spun all the time: spin_until_future_complete leaves its callbacks queued, and gets slower from call to call.
+        threading.Thread(target=executor.spin, daemon=True).start()
         clients = [node.create_client(Trigger, f"{name}/describe") for name in (NODE, "/soak_control")]
         for client in clients:
             client.wait_for_service()
 
         def ask(client: Any) -> tuple[float, Any]:
             """Time that the answer took [s], and the answer, or None."""
+            answered = threading.Event()
             asked = time.perf_counter()
             future = client.call_async(Trigger.Request())
-            executor.spin_until_future_complete(future, timeout_sec=10.0)
-            if not future.done():
+            future.add_done_callback(lambda _: answered.set())
+            if not answered.wait(10.0):
                 client.remove_pending_request(future)
-            return time.perf_counter() - asked, future.result()
+            return time.perf_counter() - asked, future.result() if future.done() else None
 
         time.sleep(2.0)
         for client in clients:

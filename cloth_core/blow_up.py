@@ -56,12 +56,12 @@ class _FixedStep(Simulation):
         self._change = change
         super().__init__(scene)
 
-    def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
+    def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats, softness: float = 1.0) -> None:
         if self._change is not None:
             self._change(model)
         if self.scene.body is None:
             model.contact = None  # contact of cloth with cloth holds back what blows up, and hides it
-        super()._use(model, unsewn_x, unsewn_v)
+        super()._use(model, unsewn_x, unsewn_v, softness)
 
     def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
         super()._refresh_time_step(estimate and self.fixed_step is None, tolerance)

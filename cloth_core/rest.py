@@ -8,9 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RestWatch", "StallWatch", "slowest_swing"]
+from cloth_core.garment import Garment
+
+__all__ = ["RestWatch", "StallWatch", "slowest_swing", "why_restless"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 # Nothing that hangs swings more slowly than this [rad/s]; without gravity it stands for all motion.
 _LEAST_FREQUENCY = 2.0
@@ -41,11 +44,12 @@ class RestWatch:
     Attributes:
         movement: farthest way of any particle in the last window [m]; None before the first one has ended.
         farthest: the particle that went so far.
+        window: as given.
         ratio: of the last two such ways; None before.
     """
 
     def __init__(self, displacement: float, window: float, slowest: float, drag: float = 0.0) -> None:
-        self._displacement, self._window, self._slowest, self._drag = displacement, window, slowest, drag
+        self._displacement, self.window, self._slowest, self._drag = displacement, window, slowest, drag
         self._times: list[float] = []
         self._positions: list[Floats] = []
         self.movement: float | None = None
@@ -59,7 +63,7 @@ class RestWatch:
 
     def due(self, time: float) -> bool:
         """Whether a window has ended."""
-        return time >= self._times[-1] + self._window
+        return time >= self._times[-1] + self.window
 
     def at_rest(self, time: float, x: Floats) -> bool:
         """End a window; whether all particles are at rest. It takes two windows at least."""
@@ -76,7 +80,7 @@ class RestWatch:
         before, now = (x1 - x0) / (t1 - t0), (x2 - x1) / (t2 - t1)
         acceleration = (now - before) / ((t2 - t0) / 2.0) + self._drag * now
         highest_speed = np.sqrt((now**2).sum(axis=1) + (acceleration**2).sum(axis=1) / self._slowest**2)
-        return float(highest_speed.max()) * self._window <= self._displacement
+        return float(highest_speed.max()) * self.window <= self._displacement
 
 
 class StallWatch:
@@ -96,3 +100,14 @@ class StallWatch:
         if movement < (1.0 - _SHRINKS) * self._least:
             self._least, self._since = movement, time
         return time - self._since > self.patience
+
+
+def why_restless(garment: Garment, number: Ints, x: Floats, watch: RestWatch, patience: float) -> str:
+    """What moves most at x (k, 3) [m] and has not halved its movement in the patience [s]; number (n,): see `Model`."""
+    place = ", ".join(f"{value:.2f}" for value in x[watch.farthest])
+    panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == watch.farthest)[0])]]
+    return (
+        f"with open seams it does not come to rest: panel '{panel}' at ({place}) m still moves by "
+        f"{1000 * (watch.movement or 0.0):.1f} mm in {watch.window:g} s, hardly less than {patience:g} s before; mend "
+        "what holds the seams open"
+    )

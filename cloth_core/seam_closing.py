@@ -123,12 +123,14 @@ class SeamClosing:
         self._reasons = {s.name: _reason(scene, s, x) for s in scene.garment.seams if s.name in self.open_seams}
         return chosen
 
-    def why_open(self, gaps: dict[str, float]) -> list[str]:
-        """One line for each seam that stays open, with its gap [m] and what lay in it when the others merged."""
-        return [
-            f"seam {name}: still {1000 * gaps[name]:.1f} mm open, it stays open; {self._reasons[name]}"
+    def why_open(self, scene: Scene, x: Floats) -> dict[str, str]:
+        """One line for each seam that is open at x (n, 3) [m]: its gap, and what lay in it when the others merged."""
+        gaps = seam_gaps(scene.garment, x)
+        return {
+            name: f"seam {name}: still {1000 * gaps[name]:.1f} mm open, it stays open; {self._reasons[name]}"
             for name in self.open_seams
-        ]
+            if gaps[name] > scene.settings.seam_tolerance
+        }
 
     def merged_later(self, scene: Scene, model: Model, x: Floats, time: float) -> Model | None:
         """The model in which points that had to stay two have merged as well, as soon as some of them can; else None.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import time
 from collections.abc import Callable
@@ -12,27 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.calming import Calming, limit_speed
 from cloth_core.coarse_start import Interpolation, interpolation_between, pushed_out_of_body
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.implicit_matrix import build_matrix
 from cloth_core.implicit_step import ImplicitState, implicit_steps
-from cloth_core.intersections import crossing_edges, self_crossing_edges
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
-from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
-from cloth_core.rest import RestWatch, StallWatch, slowest_swing
+from cloth_core.rest import RestWatch, StallWatch, slowest_swing, why_restless
+from cloth_core.run_report import RunState, description_of, hash_of, report_of
 from cloth_core.scene import Scene
 from cloth_core.seam_closing import SeamClosing, count_crossings
-from cloth_core.sewing import seam_gaps
-from cloth_core.springs import SpringFamily, spring_strains
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
-from cloth_core.switched_off import missed_effects, scene_without
-from cloth_core.term_cost import term_costs
-from cloth_core.term_shares import term_shares
+from cloth_core.support import why_unsupported
+from cloth_core.switched_off import scene_without
 
 __all__ = ["Progress", "Simulation"]
 
@@ -53,9 +49,6 @@ _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
 _STEPS_PER_SEARCH = 30
 _LEAST_REACH = 0.001
-# Fastest that anything moves while a run looks for rest [m/s]: about as fast as a hem falls. What is faster is cloth
-# that snaps back where it was held, by a seam that merges for example.
-_RUSH = 3.0
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
 _SOFTNESS = 1.0 / 16.0
@@ -65,14 +58,8 @@ _COARSER = 2.0
 _COARSEST = 0.04
 # Air drag while seams close [1/s].
 _SEWING_DRAG = 10.0
-# Rate at which particles that slow down are braked while a run looks for rest [1/s].
-_BRAKING = 30.0
-# Braking ends when movements are this share of what counts as rest.
-_CALM = 0.5
-# A run whose seams stay open is given up when its movements no longer shrink for so long [s].
-_PATIENCE = 2.0
-# A coarse start ends when movements are this many times what counts as rest.
-_NEARLY = 3.0
+# A run whose seams stay open is given up when its movements no longer halve in so long [s].
+_PATIENCE = 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # A run that has come to rest is no longer stepped when nothing moves farther than this in a window [m].
@@ -134,6 +121,7 @@ class Simulation:
         self._searches = 0
         self._warnings: list[str] = []
         self._seeking_rest = False
+        self._calming = Calming()
         self._has_settled = self._asleep = False
         self._time_not_stepped = 0.0
         self._seams = SeamClosing()
@@ -141,8 +129,6 @@ class Simulation:
         self._stalled = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
-        self._rough = False
-        self._calming = True
         self._impulse_step = 1.0
         self._flight_step = math.inf
         self._speed = 0.0
@@ -237,7 +223,7 @@ class Simulation:
         longer steps, and gives them their true stiffness when the seams have closed.
         """
         self._seeking_rest = True
-        self._calming = True
+        self._calming.active = True
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
             self.model.soften(_SOFTNESS)
@@ -251,7 +237,9 @@ class Simulation:
             if self.time >= self.scene.settings.max_time:
                 reason = f"not at rest after {self.time:.3g} s, the longest time that the settings allow"
                 break
-            hopeless = self._unsupported() or self._stalled
+            hopeless: str | None = self._stalled
+            if not hopeless and self.phase != SEWING and not self.grasps:
+                hopeless = why_unsupported(self.model.scene, self._x)
             if hopeless:
                 reason = hopeless
                 break
@@ -279,11 +267,11 @@ class Simulation:
             nonlocal stopped
             self.time, self.steps, self.phase = coarse.time, coarse.steps, coarse.phase
             stopped = on_tick is not None and bool(on_tick(self))
-            return stopped or not coarse._calming or bool(coarse._seams.open_seams)
+            return stopped or not coarse._calming.active or bool(coarse._seams.open_seams)
 
         try:
             coarse = Simulation(replace(scene, fabric=scene.fabric.smoothed).with_spacing(spacing))
-            coarse._rough = True
+            coarse._calming.rough = True
             interpolation = interpolation_between(coarse.scene.garment, scene.garment)
             self._coarse = (coarse, interpolation)
             coarse.settle(follow)
@@ -419,9 +407,9 @@ class Simulation:
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
         if self._seeking_rest:
-            self._limit_speed()
-            if self.phase != SEWING and self._calming:
-                self._calm()
+            limit_speed(self._v)
+            if self.phase != SEWING and self._calming.active:
+                self._calming.brake(self._v, self._dt * self._tick_steps)
         if self.model.softness < 1.0 and self.time - self._sewing_began > settings.closing_time:
             self._stiffen()
         if self.phase == SEWING:
@@ -463,9 +451,8 @@ class Simulation:
 
     # -- parts of a run --
 
-    def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats) -> None:
+    def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats, softness: float = 1.0) -> None:
         """Take over a model and bring the state into its numbering, keeping momentum."""
-        softness = self.model.softness if hasattr(self, "model") else 1.0
         self.model = model
         garment = self.scene.garment
         weight = garment.particle_areas
@@ -473,7 +460,7 @@ class Simulation:
         self._v = model.gather(unsewn_v, weight)
         self.grasps.hold(model, self._x)
         self._v[model.inverse_mass == 0.0] = 0.0
-        self._v_before = self._v.copy()
+        self._calming.start(self._v)
         self._moved = np.zeros(len(self._x))
         self._implicit: ImplicitState | None = None
         if self.scene.settings.integrator == "implicit":
@@ -561,10 +548,9 @@ class Simulation:
         if model is None:
             return
         self.phase = DRAPING
-        if self._seeking_rest:
-            # Merging moves points at once: what that stretches or shortens comes back softly.
-            self.model.soften(_SOFTNESS)
-        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
+        # Merging moves points at once: what that stretches or shortens comes back softly.
+        softness = _SOFTNESS if self._seeking_rest else self.model.softness
+        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]), softness)
 
     def _sew_the_rest(self) -> bool:
         """Merge points of seams that had to stay open at first; whether some were."""
@@ -588,14 +574,15 @@ class Simulation:
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
         if self._seams.open_seams and self._stall_watch.stalls(self.time, movement):
-            self._stalled = self._why_restless(movement)
-        if self._seeking_rest and self._calming:
-            if movement <= (_NEARLY if self._rough else _CALM) * allowed:
-                # Whether it stays is seen when nothing stops it.
-                self._calming = False
+            self._stalled = why_restless(
+                self.scene.garment, self.model.number, self._x, self._rest, self._stall_watch.patience
+            )
+        if self._seeking_rest and self._calming.active:
+            if self._calming.ended(movement, allowed):
                 self._open_window()
             return
-        self._calming = not at_rest and movement > allowed
+        if not at_rest:
+            self._calming.resume(movement, allowed)
         self.settled = at_rest
         if self.settled:
             acted_on = self._body_motion is not None or bool(self.grasps)
@@ -604,24 +591,6 @@ class Simulation:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
-
-    def _limit_speed(self) -> None:
-        speed = np.sqrt((self._v**2).sum(axis=1))
-        rushing = speed > _RUSH
-        self._v[rushing] *= (_RUSH / speed[rushing])[:, None]
-
-    def _calm(self) -> None:
-        """Brake what slows down already: it has passed the place that it is drawn to.
-
-        As in the FIRE method (Bitzek et al. 2006), but softly and for each particle by itself: a fold that still creeps
-        to its place is not held back because something else swings.
-        """
-        before = self._v_before
-        slower = ((self._v - before) * self._v).sum(axis=1) < 0.0
-        self._v[slower] *= math.exp(-_BRAKING * self._dt * self._tick_steps)
-        # What turns round, or trembles because layers push it to and fro, stops.
-        self._v[(before * self._v).sum(axis=1) < 0.0] = 0.0
-        self._v_before = self._v.copy()
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""
@@ -641,133 +610,37 @@ class Simulation:
         windows = math.log(max(settings.rest_displacement / movement, 1e-9)) / math.log(ratio)
         return self.time + max(windows, 1.0) * settings.rest_window
 
-    def _unsupported(self) -> str | None:
-        scene = self.model.scene
-        if self.phase == SEWING or not any(scene.gravity):
-            return None
-        if self.grasps:
-            return None
-        if scene.body is None and len(scene.pins) == 0:
-            return "nothing supports the garment: there is neither a body nor a pin"
-        if scene.body is not None and len(scene.pins) == 0:
-            lowest = float(scene.body.vertices[:, 2].min())
-            if float(self._x[:, 2].max()) < lowest - 0.05:
-                return "not supported by the body: it has fallen past it"
-        return None
-
-    def _why_restless(self, movement: float) -> str:
-        farthest = self._rest.farthest
-        place = ", ".join(f"{value:.2f}" for value in self._x[farthest])
-        garment = self.scene.garment
-        panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(self.model.number == farthest)[0])]]
-        return (
-            f"with open seams it does not come to rest: panel '{panel}' at ({place}) m still moves by "
-            f"{1000 * movement:.1f} mm in {self.scene.settings.rest_window:g} s, no less than "
-            f"{self._stall_watch.patience:g} s before; mend what holds the seams open"
-        )
-
     # -- results --
+
+    @property
+    def _state(self) -> RunState:
+        return RunState(
+            scene=self.scene, model=self.model, x=self._x, v=self._v, positions=self.positions, forces=self._terms,
+            contact_settings=self._contact_settings, contacts=self._contacts, time_step=self._dt, stable=self._stable,
+            phase=self.phase, simulated_time=self.time,
+        )  # fmt: skip
 
     def report(self, rest_reason: str | None = None) -> Report:
         """Measure the present state (exact triangle tests included)."""
-        scene, model, x = self.scene, self.model, self._x
-        strain = spring_strains(x, model.springs)
-        structural = strain[model.springs.family == SpringFamily.STRUCTURAL]
-        shear = strain[model.springs.family == SpringFamily.SHEAR]
-        gaps = seam_gaps(scene.garment, self.positions)
-        warnings = [*scene.warnings, *self._warnings, *self._seams.why_open(gaps)]
-        max_strain = float(structural.max(initial=0.0))
-        if max_strain > scene.fabric.strain_limit:
-            warnings.append(
-                f"strain {100 * max_strain:.1f} % is above the fabric's limit of {100 * scene.fabric.strain_limit:g} "
-                "%; the garment is too tight or the fabric too soft"
-            )
-        crossings, penetration = 0, 0.0
-        if scene.body is not None:
-            body = scene.body
-            crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
-            penetration = max_penetration(x, model.triangles, body)
-        missed = missed_effects(scene, model, x, self._v, self.positions)
-        warnings += missed.values()
         if rest_reason is None:
             rest_reason = "at rest" if self.settled else f"{self.phase}"
-        return Report(
-            garment=scene.garment.name,
-            body=scene.body.name if scene.body is not None else None,
-            fabric=scene.fabric.name,
-            particles=model.particle_count,
-            triangles=len(model.triangles),
-            springs=len(model.springs),
-            terms=self._term_facts(missed),
-            time_step=self._dt,
-            stable_time_step=self._stable.time_step,
+        why_open = self._seams.why_open(self.scene, self.positions)
+        return report_of(
+            self._state,
             steps=self.steps,
-            simulated_time=self.time,
             wall_time=self._wall,
             settled=self.settled,
             rest_reason=rest_reason,
-            max_strain=max_strain,
-            mean_strain=float(np.abs(structural).mean()) if len(structural) else 0.0,
-            max_shear_strain=float(shear.max(initial=0.0)),
-            strain_limit=scene.fabric.strain_limit,
-            max_seam_gap=max(gaps.values(), default=0.0),
-            open_seams={name: gaps[name] for name in self._seams.open_seams},
-            body_intersections=crossings,
-            self_intersections=len(self_crossing_edges(x, model.triangles)),
-            max_penetration=penetration,
+            open_seams=tuple(why_open),
             contact_searches=self._searches,
-            expected_error=scene.settings.expected_error,
-            expected_error_source=scene.settings.expected_error_source,
-            warnings=tuple(dict.fromkeys(warnings)),
-            state_sha256=self.state_hash(),
             time_not_stepped=self._time_not_stepped,
+            warnings=[*self._warnings, *why_open.values()],
         )
-
-    def _term_facts(self, missed: dict[str, str]) -> dict[str, dict[str, Any]]:
-        """Each term with why it is on or off, and what it takes at the present state."""
-        costs = term_costs(self._x, self._v, self._terms, self._contact_settings, self._contacts, self._dt)
-        shares = term_shares(self.model.terms, costs)
-        return {
-            t.name: {
-                "active": t.active,
-                "reason": t.reason,
-                "elements": t.elements,
-                **shares[t.name],
-                "missed": missed.get(t.name),
-            }
-            for t in self.model.terms
-        }
 
     def state_hash(self) -> str:
         """SHA-256 of positions and velocities, little-endian float64."""
-        data = np.ascontiguousarray(np.concatenate([self._x, self._v]), dtype="<f8")
-        return hashlib.sha256(data.tobytes()).hexdigest()
+        return hash_of(self._x, self._v)
 
     def describe(self) -> dict[str, Any]:
         """Terms with reasons and measured shares, counts and the stable time step, as JSON types; nothing is run."""
-        model = self.model
-        limit = self._stable
-        missed = missed_effects(self.scene, model, self._x, self._v, self.positions)
-        return {
-            "garment": self.scene.garment.name,
-            "body": self.scene.body.name if self.scene.body is not None else None,
-            "fabric": self.scene.fabric.name,
-            "spacing": self.scene.settings.spacing,
-            "expected_error": self.scene.settings.expected_error,
-            "expected_error_source": self.scene.settings.expected_error_source,
-            "particles": model.particle_count,
-            "triangles": len(model.triangles),
-            "springs": len(model.springs),
-            "panels": list(self.scene.garment.panel_names),
-            "seams": len(self.scene.garment.seams),
-            "area": float(self.scene.garment.areas.sum()),
-            "mass": float(model.mass.sum()),
-            "terms": self._term_facts(missed),
-            "time_step": self._dt,
-            "stable_time_step": limit.time_step if math.isfinite(limit.time_step) else None,
-            "largest_frequency": limit.largest_frequency,
-            "damping_ratio": limit.damping_ratio if math.isfinite(limit.damping_ratio) else None,
-            "phase": self.phase,
-            "simulated_time": self.time,
-            "warnings": [*self.scene.warnings, *missed.values()],
-        }
+        return description_of(self._state)

@@ -350,6 +350,23 @@ def test_reset_opens_the_seams_again():
     assert simulation.state_hash() == first
 
 
+def test_reset_forgets_a_run_to_rest_that_was_cut_short():
+    # Such a run sews with soft springs: what it leaves must not.
+    panels = {"left": rectangle(0.2, 0.2, at=(-0.11, 0, 0)), "right": rectangle(0.2, 0.2, at=(0.11, 0, 0))}
+    scene = Scene.build(pattern(panels, [(("left", 1), ("right", 3))]), settings=Settings(spacing=0.05))
+    simulation, fresh = Simulation(scene), Simulation(scene)
+
+    def cut(_: Simulation) -> bool:
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        simulation.settle(cut)
+    simulation.reset()
+    for run in (simulation, fresh):
+        run.advance(0.1)
+    assert simulation.state_hash() == fresh.state_hash()
+
+
 def test_two_runs_have_the_same_bits():
     one, two = Simulation(on_a_ball()), Simulation(on_a_ball())
     one.settle()

@@ -1,0 +1,176 @@
+"""Measures the state of a run: the report, and the description before anything has run."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.contact import ContactSettings, ContactState
+from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.model import Model
+from cloth_core.penetration import max_penetration
+from cloth_core.report import Report
+from cloth_core.scene import Scene
+from cloth_core.sewing import seam_gaps
+from cloth_core.springs import SpringFamily, spring_strains
+from cloth_core.stability import StableStep
+from cloth_core.step import ForceTerms
+from cloth_core.switched_off import missed_effects
+from cloth_core.term_cost import term_costs
+from cloth_core.term_shares import term_shares
+
+__all__ = ["RunState", "description_of", "hash_of", "report_of"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RunState:
+    """What there is to measure of a run.
+
+    Attributes:
+        scene, model: what is simulated, and its terms at present.
+        x, v: of the sewn particles, (k, 3) [m, m/s]; positions: in the unsewn numbering, (n, 3) [m].
+        forces, contact_settings, contacts: of the last step.
+        time_step: in use [s]; stable: the estimate of the largest one.
+        phase: of the run; simulated_time: [s].
+    """
+
+    scene: Scene
+    model: Model
+    x: Floats
+    v: Floats
+    positions: Floats
+    forces: ForceTerms
+    contact_settings: ContactSettings
+    contacts: ContactState
+    time_step: float
+    stable: StableStep
+    phase: str
+    simulated_time: float
+
+
+def report_of(
+    state: RunState,
+    *,
+    steps: int,
+    wall_time: float,
+    settled: bool,
+    rest_reason: str,
+    open_seams: Sequence[str],
+    contact_searches: int,
+    time_not_stepped: float,
+    warnings: Iterable[str],
+) -> Report:
+    """The report on a run in that state (`Report` says what the numbers are); exact triangle tests included."""
+    scene, model, x = state.scene, state.model, state.x
+    strain = spring_strains(x, model.springs)
+    structural = strain[model.springs.family == SpringFamily.STRUCTURAL]
+    shear = strain[model.springs.family == SpringFamily.SHEAR]
+    gaps = seam_gaps(scene.garment, state.positions)
+    lines = [*scene.warnings, *warnings]
+    max_strain = float(structural.max(initial=0.0))
+    if max_strain > scene.fabric.strain_limit:
+        lines.append(
+            f"strain {100 * max_strain:.1f} % is above the fabric's limit of {100 * scene.fabric.strain_limit:g} "
+            "%; the garment is too tight or the fabric too soft"
+        )
+    crossings, penetration = 0, 0.0
+    if scene.body is not None:
+        body = scene.body
+        crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
+        penetration = max_penetration(x, model.triangles, body)
+    missed = _missed(state)
+    lines += missed.values()
+    return Report(
+        garment=scene.garment.name,
+        body=scene.body.name if scene.body is not None else None,
+        fabric=scene.fabric.name,
+        particles=model.particle_count,
+        triangles=len(model.triangles),
+        springs=len(model.springs),
+        terms=_term_facts(state, missed),
+        time_step=state.time_step,
+        stable_time_step=state.stable.time_step,
+        steps=steps,
+        simulated_time=state.simulated_time,
+        wall_time=wall_time,
+        settled=settled,
+        rest_reason=rest_reason,
+        max_strain=max_strain,
+        mean_strain=float(np.abs(structural).mean()) if len(structural) else 0.0,
+        max_shear_strain=float(shear.max(initial=0.0)),
+        strain_limit=scene.fabric.strain_limit,
+        max_seam_gap=max(gaps.values(), default=0.0),
+        open_seams={name: gaps[name] for name in open_seams},
+        body_intersections=crossings,
+        self_intersections=len(self_crossing_edges(x, model.triangles)),
+        max_penetration=penetration,
+        contact_searches=contact_searches,
+        expected_error=scene.settings.expected_error,
+        expected_error_source=scene.settings.expected_error_source,
+        warnings=tuple(dict.fromkeys(lines)),
+        state_sha256=hash_of(state.x, state.v),
+        time_not_stepped=time_not_stepped,
+    )
+
+
+def description_of(state: RunState) -> dict[str, Any]:
+    """Terms with reasons and measured shares, counts and the stable time step, as JSON types."""
+    scene, model, stable = state.scene, state.model, state.stable
+    missed = _missed(state)
+    return {
+        "garment": scene.garment.name,
+        "body": scene.body.name if scene.body is not None else None,
+        "fabric": scene.fabric.name,
+        "spacing": scene.settings.spacing,
+        "expected_error": scene.settings.expected_error,
+        "expected_error_source": scene.settings.expected_error_source,
+        "particles": model.particle_count,
+        "triangles": len(model.triangles),
+        "springs": len(model.springs),
+        "panels": list(scene.garment.panel_names),
+        "seams": len(scene.garment.seams),
+        "area": float(scene.garment.areas.sum()),
+        "mass": float(model.mass.sum()),
+        "terms": _term_facts(state, missed),
+        "time_step": state.time_step,
+        "stable_time_step": stable.time_step if math.isfinite(stable.time_step) else None,
+        "largest_frequency": stable.largest_frequency,
+        "damping_ratio": stable.damping_ratio if math.isfinite(stable.damping_ratio) else None,
+        "phase": state.phase,
+        "simulated_time": state.simulated_time,
+        "warnings": [*scene.warnings, *missed.values()],
+    }
+
+
+def hash_of(x: Floats, v: Floats) -> str:
+    """SHA-256 of positions and velocities, (k, 3) each, as little-endian float64."""
+    data = np.ascontiguousarray(np.concatenate([x, v]), dtype="<f8")
+    return hashlib.sha256(data.tobytes()).hexdigest()
+
+
+def _missed(state: RunState) -> dict[str, str]:
+    return missed_effects(state.scene, state.model, state.x, state.v, state.positions)
+
+
+def _term_facts(state: RunState, missed: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """Each term with why it is on or off, and what it takes at the present state."""
+    costs = term_costs(state.x, state.v, state.forces, state.contact_settings, state.contacts, state.time_step)
+    shares = term_shares(state.model.terms, costs)
+    return {
+        t.name: {
+            "active": t.active,
+            "reason": t.reason,
+            "elements": t.elements,
+            **shares[t.name],
+            "missed": missed.get(t.name),
+        }
+        for t in state.model.terms
+    }
