@@ -84,30 +84,28 @@ class RestWatch:
 
 
 class StallWatch:
-    """Whether movements still shrink, or cloth trembles for ever: stretched over a body, for example.
+    """Whether movements still shrink, or cloth trembles for ever: stretched over a body or squeezed in it, for example.
 
-    Args:
-        patience: time within which they must have halved [s].
+    Attributes:
+        since: when they had halved for the last time [s].
     """
 
-    def __init__(self, patience: float) -> None:
-        self.patience = patience
+    def __init__(self) -> None:
+        self.since = 0.0
         self._least = math.inf
-        self._since = 0.0
 
-    def stalls(self, time: float, movement: float) -> bool:
-        """Take note of the largest movement [m] in the window that ended at a time [s]."""
+    def stalls(self, time: float, movement: float, patience: float) -> bool:
+        """Whether they have not halved within a time [s]; movement: the largest in the window that ended at time."""
         if movement < (1.0 - _SHRINKS) * self._least:
-            self._least, self._since = movement, time
-        return time - self._since > self.patience
+            self._least, self.since = movement, time
+        return time - self.since > patience
 
 
-def why_restless(garment: Garment, number: Ints, x: Floats, watch: RestWatch, patience: float) -> str:
-    """What moves most at x (k, 3) [m] and has not halved its movement in the patience [s]; number (n,): see `Model`."""
+def why_restless(garment: Garment, number: Ints, x: Floats, watch: RestWatch, stalled_for: float) -> str:
+    """What moves most at x (k, 3) [m], after movements have not halved for some time [s]; number (n,): see `Model`."""
     place = ", ".join(f"{value:.2f}" for value in x[watch.farthest])
     panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == watch.farthest)[0])]]
     return (
-        f"with open seams it does not come to rest: panel '{panel}' at ({place}) m still moves by "
-        f"{1000 * (watch.movement or 0.0):.1f} mm in {watch.window:g} s, hardly less than {patience:g} s before; mend "
-        "what holds the seams open"
+        f"does not come to rest: panel '{panel}' at ({place}) m still moves by {1000 * (watch.movement or 0.0):.1f} mm "
+        f"in {watch.window:g} s, hardly less than {stalled_for:.0f} s before; see whether the garment is too tight there"
     )

@@ -58,8 +58,8 @@ _COARSER = 2.0
 _COARSEST = 0.04
 # Air drag while seams close [1/s].
 _SEWING_DRAG = 10.0
-# A run whose seams stay open is given up when its movements no longer halve in so long [s].
-_PATIENCE = 3.0
+# A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
+_PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # A run that has come to rest is no longer stepped when nothing moves farther than this in a window [m].
@@ -125,7 +125,7 @@ class Simulation:
         self._has_settled = self._asleep = False
         self._time_not_stepped = 0.0
         self._seams = SeamClosing()
-        self._stall_watch = StallWatch(_PATIENCE)
+        self._stall_watch = StallWatch()
         self._stalled = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
@@ -223,6 +223,7 @@ class Simulation:
         longer steps, and gives them their true stiffness when the seams have closed.
         """
         self._seeking_rest = True
+        self._stall_watch, self._stalled = StallWatch(), ""
         self._calming.active = True
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
@@ -356,7 +357,6 @@ class Simulation:
 
     def _wake(self) -> None:
         self.settled = self._asleep = False
-        self._stall_watch, self._stalled = StallWatch(_PATIENCE), ""
         if self.phase == REST:
             self.phase = DRAPING
         self._open_window()
@@ -573,10 +573,10 @@ class Simulation:
         at_rest = self._rest.at_rest(self.time, self._x)
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
-        if self._seams.open_seams and self._stall_watch.stalls(self.time, movement):
-            self._stalled = why_restless(
-                self.scene.garment, self.model.number, self._x, self._rest, self._stall_watch.patience
-            )
+        patience = _PATIENCE_WHEN_OPEN if self._seams.open_seams else _PATIENCE
+        if self._seeking_rest and not at_rest and self._stall_watch.stalls(self.time, movement, patience):
+            stalled_for = self.time - self._stall_watch.since
+            self._stalled = why_restless(self.scene.garment, self.model.number, self._x, self._rest, stalled_for)
         if self._seeking_rest and self._calming.active:
             if self._calming.ended(movement, allowed):
                 self._open_window()

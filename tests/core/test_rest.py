@@ -78,9 +78,9 @@ def test_sheet_called_settled_moves_no_farther_than_promised(held):
 @pytest.mark.parametrize(("decay", "stalls"), [(0.2, False), (0.3, False), (0.4, True), (1e9, True)])
 def test_movements_that_do_not_halve_within_the_patience_stall(decay, stalls):
     # 0.01 exp(-t / decay) halves in 0.69 decay: within 0.25 s up to a decay of 0.36 s.
-    watch = StallWatch(0.25)
+    watch = StallWatch()
     times = np.arange(0.0, 3.0, 0.01)
-    assert any(watch.stalls(t, 0.01 * math.exp(-t / decay)) for t in times.tolist()) == stalls
+    assert any(watch.stalls(t, 0.01 * math.exp(-t / decay), 0.25) for t in times.tolist()) == stalls
 
 
 def test_particle_that_went_farthest_is_known():
