@@ -107,5 +107,5 @@ def why_restless(garment: Garment, number: Ints, x: Floats, watch: RestWatch, st
     panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == watch.farthest)[0])]]
     return (
         f"does not come to rest: panel '{panel}' at ({place}) m still moves by {1000 * (watch.movement or 0.0):.1f} mm "
-        f"in {watch.window:g} s, hardly less than {stalled_for:.0f} s before; see whether the garment is too tight there"
+        f"in {watch.window:g} s, hardly less than {stalled_for:.0f} s before; see whether it is too tight there"
     )
