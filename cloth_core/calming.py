@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Calming"]
+__all__ = ["Calming", "limit_speed"]
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +21,9 @@ _BRAKING = 30.0
 _CALM = 0.5
 # and for a drape that is only a start for a finer one when they are this many times it.
 _NEARLY = 3.0
+# Fastest that anything moves on the way to rest [m/s]: about as fast as a hem falls. What is faster is cloth that snaps
+# back where it was held, by a seam that merges for example.
+_RUSH = 3.0
 
 
 class Calming:
@@ -59,3 +62,10 @@ class Calming:
     def resume(self, movement: float, allowed: float) -> None:
         """Brake again if the movement in a window [m] without it is more than allowed at rest."""
         self.active = movement > allowed
+
+
+def limit_speed(v: Floats) -> None:
+    """Slow down, in place, what is faster than 3 m/s; v (n, 3) [m/s]."""
+    speed = np.sqrt((v**2).sum(axis=1))
+    rushing = speed > _RUSH
+    v[rushing] *= (_RUSH / speed[rushing])[:, None]

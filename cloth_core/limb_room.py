@@ -17,7 +17,7 @@ from cloth_core.garment import Garment, Seam
 from cloth_core.intersections import crossing_edges
 from cloth_core.placement import crosses_more
 
-__all__ = ["with_room_for_limbs"]
+__all__ = ["blocked_lines", "seam_lines", "with_room_for_limbs"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -49,7 +49,7 @@ def with_room_for_limbs(garment: Garment, body: Body) -> Garment:
         plane = np.stack([along, np.cross(across, along)])
         plane /= np.linalg.norm(plane, axis=1)[:, None]
         own = one | other
-        seam_lines = _lines([s for s in garment.seams if own[s.first].any() or own[s.second].any()])
+        own_lines = seam_lines([s for s in garment.seams if own[s.first].any() or own[s.second].any()])
         inside = np.flatnonzero(one)[:: max(1, int(one.sum()) // (4 * _LINES))]
 
         def blocked(way: Floats) -> tuple[int, int]:
@@ -58,13 +58,13 @@ def with_room_for_limbs(garment: Garment, body: Body) -> Garment:
             ends = np.concatenate([x[inside], x[inside] + across])  # noqa: B023
             rows = np.arange(len(inside), dtype=np.int32)  # noqa: B023
             between = np.stack([rows, rows + len(rows), rows + len(rows)], axis=1)
-            return _blocked(x, seam_lines, body), _blocked(ends, between, body)  # noqa: B023
+            return blocked_lines(x, own_lines, body), blocked_lines(ends, between, body)  # noqa: B023
 
         steps = np.arange(-_FARTHEST, _FARTHEST + 0.5 * _STEP, _STEP)
         ways = sorted((np.array(pair) @ plane for pair in product(steps, steps)), key=lambda way: float(way @ way))
         ways = [way for way in ways if float(way @ way) <= (_FARTHEST + 1e-9) ** 2]
         counts = [blocked(way) for way in ways]
-        seam = [of_seam if within >= counts[0][1] else len(seam_lines) for of_seam, within in counts]
+        seam = [of_seam if within >= counts[0][1] else len(own_lines) for of_seam, within in counts]
         garment = _moved(garment, own, ways[int(np.argmin(seam))], body)
     return garment
 
@@ -74,8 +74,8 @@ def _blocked_share(garment: Garment, seam: Seam, body: Body) -> float:
     sides = garment.rest[seam.first]
     if np.linalg.norm(np.diff(sides, axis=0), axis=1).sum() < _LEAST_LENGTH:
         return 0.0
-    lines = _lines([seam])
-    return _blocked(garment.start, lines, body) / max(len(lines), 1)
+    lines = seam_lines([seam])
+    return blocked_lines(garment.start, lines, body) / max(len(lines), 1)
 
 
 def _pairs(garment: Garment) -> list[tuple[tuple[int, int], list[Seam]]]:
@@ -88,7 +88,7 @@ def _pairs(garment: Garment) -> list[tuple[tuple[int, int], list[Seam]]]:
     return [(pair, seams) for pair, seams in found.items() if len(seams) > 1]
 
 
-def _lines(seams: list[Seam]) -> Ints:
+def seam_lines(seams: list[Seam]) -> Ints:
     """Some lines between points that are to be sewn together, evenly along each seam, as flat triangles (k, 3)."""
     rows = []
     for seam in seams:
@@ -98,7 +98,7 @@ def _lines(seams: list[Seam]) -> Ints:
     return np.asarray(lines[lines[:, 0] != lines[:, 1]], dtype=np.int32)
 
 
-def _blocked(x: Floats, lines: Ints, body: Body) -> int:
+def blocked_lines(x: Floats, lines: Ints, body: Body) -> int:
     """How many lines pass through the body with points at x (n, 3) [m]."""
     return len(crossing_edges(x, lines, body.vertices, body.triangles, body.tree))
 

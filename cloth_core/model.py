@@ -16,7 +16,7 @@ from cloth_core.kernel import kernel
 from cloth_core.runs import find_runs
 from cloth_core.scene import Scene
 from cloth_core.self_contact import SelfContact
-from cloth_core.sewing import SeamPull, build_seam_pull
+from cloth_core.sewing import SeamPull, build_seam_pull, renumbered_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
@@ -65,6 +65,7 @@ class Model:
         scene: what is simulated; the model's own `scene` is without what is switched off.
         closed: the seams that are merged; the others stay open (and are pulled together while `sewing`).
         sewing: whether open seams pull, and gravity waits until they have closed.
+        held: seams, or parts of them, whose points stay two but pull at each other all the same.
 
     Attributes:
         closed: the seams that are merged.
@@ -77,7 +78,9 @@ class Model:
         terms: all terms, with the reason why each is there or not.
     """
 
-    def __init__(self, scene: Scene, closed: tuple[Seam, ...] = (), sewing: bool = False) -> None:
+    def __init__(
+        self, scene: Scene, closed: tuple[Seam, ...] = (), sewing: bool = False, held: tuple[Seam, ...] = ()
+    ) -> None:
         without, scene = scene.without, scene_without(scene)
         garment, fabric = scene.garment, scene.fabric
         self.scene = scene
@@ -111,9 +114,8 @@ class Model:
         self._spring_runs = self._runs.mixed(1.0)
         bending = _NO_BENDING if self.bending is None else self.bending
         self._line_runs, self._twist_runs = bending.line_runs(), bending.twist_runs()
-        self.seam_pull: SeamPull | None = (
-            build_seam_pull(garment, fabric, garment.start) if sewing and garment.seams else None
-        )
+        self._pulled = garment.seams if sewing else held
+        self.seam_pull: SeamPull | None = self._pull(1.0) if self._pulled else None
         self.strain_limit = (
             no_strain_limit() if "strain limit" in without else build_strain_limit(self.springs, fabric.strain_limit)
         )
@@ -151,7 +153,13 @@ class Model:
         self._stiffness = stiffness
         self._spring_runs = self._runs.mixed(softness)
         if self.seam_pull is not None:
-            self.seam_pull = build_seam_pull(garment, fabric, garment.start, softness)
+            self.seam_pull = self._pull(softness)
+
+    def _pull(self, softness: float) -> SeamPull:
+        garment = self.scene.garment
+        return renumbered_pull(
+            build_seam_pull(garment, self._fabric, garment.start, softness, self._pulled), self.number
+        )
 
     # -- arrays for the compiled loop --
 

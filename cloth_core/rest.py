@@ -8,12 +8,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RestWatch", "slowest_swing"]
+from cloth_core.garment import Garment
+
+__all__ = ["RestWatch", "StallWatch", "slowest_swing", "why_restless"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 # Nothing that hangs swings more slowly than this [rad/s]; without gravity it stands for all motion.
 _LEAST_FREQUENCY = 2.0
+# Movements that do not shrink by this share within the patience do not end.
+_SHRINKS = 0.5
 
 
 def slowest_swing(gravity: Sequence[float], height: float) -> float:
@@ -38,14 +43,17 @@ class RestWatch:
 
     Attributes:
         movement: farthest way of any particle in the last window [m]; None before the first one has ended.
+        farthest: the particle that went so far.
+        window: as given.
         ratio: of the last two such ways; None before.
     """
 
     def __init__(self, displacement: float, window: float, slowest: float, drag: float = 0.0) -> None:
-        self._displacement, self._window, self._slowest, self._drag = displacement, window, slowest, drag
+        self._displacement, self.window, self._slowest, self._drag = displacement, window, slowest, drag
         self._times: list[float] = []
         self._positions: list[Floats] = []
         self.movement: float | None = None
+        self.farthest = 0
         self.ratio: float | None = None
 
     def open(self, time: float, x: Floats) -> None:
@@ -55,13 +63,15 @@ class RestWatch:
 
     def due(self, time: float) -> bool:
         """Whether a window has ended."""
-        return time >= self._times[-1] + self._window
+        return time >= self._times[-1] + self.window
 
     def at_rest(self, time: float, x: Floats) -> bool:
         """End a window; whether all particles are at rest. It takes two windows at least."""
         self._times = [*self._times[-2:], time]
         self._positions = [*self._positions[-2:], x.copy()]
-        last = _largest(self._positions[-1] - self._positions[-2])
+        way = np.sqrt(((self._positions[-1] - self._positions[-2]) ** 2).sum(axis=1))
+        self.farthest = int(way.argmax())
+        last = float(way[self.farthest])
         self.ratio = last / self.movement if self.movement else None
         self.movement = last
         if len(self._times) < 3:
@@ -70,8 +80,32 @@ class RestWatch:
         before, now = (x1 - x0) / (t1 - t0), (x2 - x1) / (t2 - t1)
         acceleration = (now - before) / ((t2 - t0) / 2.0) + self._drag * now
         highest_speed = np.sqrt((now**2).sum(axis=1) + (acceleration**2).sum(axis=1) / self._slowest**2)
-        return float(highest_speed.max()) * self._window <= self._displacement
+        return float(highest_speed.max()) * self.window <= self._displacement
 
 
-def _largest(way: Floats) -> float:
-    return float(np.sqrt((way**2).sum(axis=1).max()))
+class StallWatch:
+    """Whether movements still shrink, or cloth trembles for ever: stretched over a body or squeezed in it, for example.
+
+    Attributes:
+        since: when they had halved for the last time [s].
+    """
+
+    def __init__(self) -> None:
+        self.since = 0.0
+        self._least = math.inf
+
+    def stalls(self, time: float, movement: float, patience: float) -> bool:
+        """Whether they have not halved within a time [s]; movement: the largest in the window that ended at time."""
+        if movement < (1.0 - _SHRINKS) * self._least:
+            self._least, self.since = movement, time
+        return time - self.since > patience
+
+
+def why_restless(garment: Garment, number: Ints, x: Floats, watch: RestWatch, stalled_for: float) -> str:
+    """What moves most at x (k, 3) [m], after movements have not halved for some time [s]; number (n,): see `Model`."""
+    place = ", ".join(f"{value:.2f}" for value in x[watch.farthest])
+    panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == watch.farthest)[0])]]
+    return (
+        f"does not come to rest: panel '{panel}' at ({place}) m still moves by {1000 * (watch.movement or 0.0):.1f} mm "
+        f"in {watch.window:g} s, hardly less than {stalled_for:.0f} s before; see whether it is too tight there"
+    )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cloth_core.approach import brought_near
 from cloth_core.body import Body
 from cloth_core.calibration import Cloth
+from cloth_core.curled_start import curled_inside_limbs
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
@@ -133,7 +134,9 @@ class Scene:
         apart = separate_panels(garment, layers, _PANEL_GAP)
         if body is not None and apart is not garment:
             apart = clear_of_body(apart, body, chosen.contact_offset)
-        garment = apart if body is None else with_room_for_limbs(brought_near(apart, body), body)
+        garment = apart
+        if body is not None:
+            garment = with_room_for_limbs(curled_inside_limbs(brought_near(apart, body), body), body)
         return cls(
             garment=garment,
             fabric=fabric,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +12,12 @@ from numpy.typing import NDArray
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.intersections import crossing_edges, crossing_pairs, self_crossing_edges, self_crossing_pairs
 from cloth_core.model import Model
+from cloth_core.nudging import nudged_apart
 from cloth_core.scene import Scene
 from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.sewing import seam_gaps
 
-__all__ = ["SeamClosing", "count_crossings", "why_open"]
+__all__ = ["SeamClosing", "count_crossings"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -23,12 +26,26 @@ Bools = NDArray[np.bool_]
 # Seams are looked at this often [s]; they no longer get narrower when this share of the widest gap is left after it.
 _INTERVAL = 0.05
 _STALLED = 0.9
+# Points that had to stay two hold on to each other for so long [s]; then they are let go, so that the cloth comes to
+# rest. Meanwhile they are looked at again this often [s], and so many by themselves.
+_HELD, _LATER, _SINGLY = 1.5, 0.2, 12
 # The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
-_FIRMER, _FIRMEST = 1.15, 8.0
+_FIRMER, _FIRMEST = 1.25, 8.0
+# Once they are pulled as hard as may be, and have come no nearer by this share, all in all, for so long [s], the seams
+# are given up before the sewing time is over: what holds them open, a limb or too little cloth, will not go away.
+_NEARER, _PATIENCE = 0.02, 0.3
 # Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
 # the distance at which points may merge down to where seams count as closed.
 _ROUNDS = 12
 _LIMITS = 4
+# Times that what would cross is nudged apart before the seams are given up: it takes a moment.
+_NUDGES = 3
+# What is near enough but would cross waits so long for cloth to get out of the way [s] before stitches are left out.
+_WAIT = 0.3
+# Cloth that is stretched by this share of the fabric's limit is tight.
+_TIGHT = 0.8
+# A side is along warp or weft if it leaves it by less than this slope.
+_ALONG = 0.2
 # Points of which other places are tried when they merge.
 _PLACES = 40
 
@@ -47,6 +64,13 @@ class SeamClosing:
         self._widest_gap = math.inf
         self._firmness = 1.0
         self._next_look = 0.0
+        self._nudges = 0
+        self._crossed_since = math.inf
+        self._held: list[Bools] = []
+        self._held_until = math.inf
+        self._reasons: dict[str, str] = {}
+        self._least_open = math.inf
+        self._hopeful_until = 0.0
 
     def merged(self, scene: Scene, model: Model, x: Floats, time: float, sewn_for: float) -> Model | None:
         """The model in which the seams are merged, point by point; None as long as they shall go on closing.
@@ -67,26 +91,92 @@ class SeamClosing:
         self._widest_gap = widest
         if model.contact is not None and model.contact.cloth is not None:
             model.contact.cloth.gaps_may_leave = widest >= _STALLED * before
-        late = sewn_for >= settings.sewing_time
+        late = sewn_for >= settings.sewing_time or self._given_up(scene, x, time)
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.
-        near = _within(scene, x, settings.merge_distance)
+        near = within = _within(scene, x, settings.merge_distance)
         if not late and not all(points.all() for points in near):
             self._pull_harder(model)
             return None
         present = count_crossings(scene, model, x)
         self.positions, crossings = _placed(scene, x, near, present)
+        if crossings > present and (late or self._nudges < _NUDGES):
+            self._nudges += 1
+            self.positions, crossings = _nudged(scene, self.positions, near, present)
         if crossings > present:
-            if not late:
+            self._crossed_since = min(self._crossed_since, time)
+            if not late and time < self._crossed_since + _WAIT:
                 return None
             near = _without_crossing(scene, x, _points_that_count(scene, model, x), present)
-            self.positions, _ = _placed(scene, x, near, present)
-        chosen = Model(scene, closed=_parts(scene, near))
-        whole = {seam.name: len(seam.first) for seam in scene.garment.seams}
-        closed = {seam.name for seam in chosen.closed if len(seam.first) == whole[seam.name]}
-        self.open_seams = {name: gap for name, gap in gaps.items() if name not in closed}
+            self.positions, crossings = _placed(scene, x, near, present)
+            if crossings > present:
+                self.positions, crossings = _nudged(scene, self.positions, near, present)
+            if crossings > present and not late:
+                self._next_look = time + _WAIT
+                return None
+        # What was near enough but would have crossed is held where it is; what a limb holds apart is not: it would pull
+        # the cloth about for ever.
+        self._held = [close & ~merges for close, merges in zip(within, near, strict=True)]
+        self._held_until = time + _HELD
+        chosen = self._chosen(scene, near, gaps)
+        self._reasons = {s.name: _reason(scene, s, x) for s in scene.garment.seams if s.name in self.open_seams}
         return chosen
+
+    def why_open(self, scene: Scene, x: Floats) -> dict[str, str]:
+        """One line for each seam that is open at x (n, 3) [m]: its gap, and what lay in it when the others merged."""
+        gaps = seam_gaps(scene.garment, x)
+        return {
+            name: f"seam {name}: still {1000 * gaps[name]:.1f} mm open, it stays open; {self._reasons[name]}"
+            for name in self.open_seams
+            if gaps[name] > scene.settings.seam_tolerance
+        }
+
+    def merged_later(self, scene: Scene, model: Model, x: Floats, time: float) -> Model | None:
+        """The model in which points that had to stay two have merged as well, as soon as some of them can; else None.
+
+        Cloth that lay in the way has moved once gravity acts. What still cannot after a while is let go.
+        Arguments as in `merged`; `model` is that of the drape.
+        """
+        if time < self._next_look or not any(points.any() for points in self._held):
+            return None
+        self._next_look = time + _LATER
+        merged = [model.number[s.first] == model.number[s.second] for s in scene.garment.seams]
+        if time > self._held_until:
+            self._held, self.positions = [np.zeros_like(points) for points in self._held], x
+            return self._chosen(scene, merged, seam_gaps(scene.garment, x))
+        near = _within(scene, x, scene.settings.merge_distance)
+        wanted = [points & close for points, close in zip(self._held, near, strict=True)]
+        present = count_crossings(scene, model, x)
+        for more in (wanted, *islice(_one_by_one(wanted), _SINGLY)):
+            which = [points | also for points, also in zip(merged, more, strict=True)]
+            if not any((points & ~already).any() for points, already in zip(which, merged, strict=True)):
+                continue
+            number = merged_numbers(len(x), _parts(scene, which))
+            if _crossing_points(scene, x, number)[0] <= present:
+                self.positions = _gathered(scene, x, number)[number]
+                self._held = [points & ~done for points, done in zip(self._held, which, strict=True)]
+                return self._chosen(scene, which, seam_gaps(scene.garment, x))
+        return None
+
+    def _chosen(self, scene: Scene, which: list[Bools], gaps: dict[str, float]) -> Model:
+        chosen = Model(scene, closed=_parts(scene, which), held=_parts(scene, self._held))
+        self.open_seams = {
+            seam.name: gaps[seam.name]
+            for seam, points in zip(scene.garment.seams, which, strict=True)
+            if not points.all()
+        }
+        return chosen
+
+    def _given_up(self, scene: Scene, x: Floats, time: float) -> bool:
+        """Whether what is too far apart to merge has come no nearer for a while, however hard it was pulled."""
+        limit = scene.settings.merge_distance
+        gaps = np.concatenate([np.linalg.norm(x[s.first] - x[s.second], axis=1) for s in scene.garment.seams])
+        still_open = float(gaps[gaps > limit].sum())
+        if still_open < (1.0 - _NEARER) * self._least_open or self._firmness < _FIRMEST:
+            self._hopeful_until = time + _PATIENCE
+        self._least_open = min(self._least_open, still_open)
+        return still_open > 0.0 and time >= self._hopeful_until
 
     def _pull_harder(self, model: Model) -> None:
         """What no longer gets nearer is pulled with a little more force from one look to the next."""
@@ -108,28 +198,12 @@ def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     return crossings
 
 
-def why_open(scene: Scene, open_seams: dict[str, float], x: Floats) -> list[str]:
-    """One line for each seam that stays open, with its gap and what lies in it; x (n, 3) [m] in the unsewn numbering.
-
-    Args:
-        scene: of the run.
-        open_seams: gap of each [m].
-        x: positions when the others merge.
-    """
-    lines = []
-    for seam in scene.garment.seams:
-        if seam.name not in open_seams:
-            continue
-        far = np.linalg.norm(x[seam.first] - x[seam.second], axis=1) > scene.settings.seam_tolerance
-        gaps = seam_gap_triangles((seam,))
-        gaps = gaps[np.isin(gaps, np.concatenate([seam.first[far], seam.second[far]])).any(axis=1)]
-        line = f"seam {seam.name}: still {1000 * open_seams[seam.name]:.1f} mm open, it stays open; "
-        lines.append(line + _what_lies_in(scene, gaps, x))
-    return lines
-
-
-def _what_lies_in(scene: Scene, gaps: Ints, x: Floats) -> str:
-    """What lies in a gap, and where, as a piece of the message."""
+def _reason(scene: Scene, seam: Seam, x: Floats) -> str:
+    """What holds a seam open at x (n, 3) [m], unsewn numbering, and where, as the end of a message."""
+    far = np.linalg.norm(x[seam.first] - x[seam.second], axis=1) > scene.settings.seam_tolerance
+    points = np.concatenate([seam.first[far], seam.second[far]])
+    gaps = seam_gap_triangles((seam,))
+    gaps = gaps[np.isin(gaps, points).any(axis=1)]
     body = scene.body
     if body is not None and len(gaps):
         edges, pairs = crossing_pairs(body.vertices, body.triangles, x, gaps)
@@ -138,13 +212,37 @@ def _what_lies_in(scene: Scene, gaps: Ints, x: Floats) -> str:
         crossed = body.vertices[body.triangles[np.unique(pairs[:, 1])]].mean(axis=1)
         places = np.concatenate([ends, crossed])
         if len(places):
-            nearest = int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))
-            place = ", ".join(f"{value:.2f}" for value in places[nearest])
+            nearest = places[np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1))]
             return (
-                f"the body lies in it at ({place}) m: too tight there, or its two sides start on different sides of a "
-                "limb"
+                f"the body lies in it at {_place(nearest)}: too tight there, or its two sides start on different sides "
+                "of a limb"
             )
-    return "cloth lies in it, or what is sewn there pulls it apart"
+    if not len(points):
+        return "cloth lies in it"
+    widest = seam.first[np.argmax(np.linalg.norm(x[seam.first] - x[seam.second], axis=1))]
+    stretch = _stretch_beside(scene, points, x)
+    if stretch >= _TIGHT * scene.fabric.strain_limit:
+        return (
+            f"the cloth beside it at {_place(x[widest])} is stretched by {100 * stretch:.0f} %: too tight there, or "
+            "cloth lies in it"
+        )
+    return f"cloth lies in it at {_place(x[widest])}, or what is sewn there pulls it apart"
+
+
+def _stretch_beside(scene: Scene, points: Ints, x: Floats) -> float:
+    """Largest stretch along warp and weft of the cloth around some points."""
+    garment = scene.garment
+    triangles = garment.triangles[np.isin(garment.triangles, points).any(axis=1)]
+    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    way = np.abs(garment.rest[sides[:, 0]] - garment.rest[sides[:, 1]])
+    sides, way = (each[way.min(axis=1) < _ALONG * way.max(axis=1)] for each in (sides, way))
+    rest = np.linalg.norm(way, axis=1)
+    length = np.linalg.norm(x[sides[:, 0]] - x[sides[:, 1]], axis=1)
+    return float((length / rest - 1.0).max(initial=0.0))
+
+
+def _place(point: Floats) -> str:
+    return f"({', '.join(f'{value:.2f}' for value in point)}) m"
 
 
 def _within(scene: Scene, x: Floats, limit: float) -> list[Bools]:
@@ -181,6 +279,23 @@ def _placed(scene: Scene, x: Floats, which: list[Bools], present: int) -> tuple[
             if fewer < count:
                 placed, count, crossing = trial, fewer, there
     return placed, count
+
+
+def _nudged(scene: Scene, placed: Floats, which: list[Bools], present: int) -> tuple[Floats, int]:
+    """Positions [m], (n, 3), of what merges, with the points moved a little that keep something from crossing."""
+    number = merged_numbers(len(placed), _parts(scene, which))
+    triangles = np.asarray(number[scene.garment.triangles], dtype=np.int32)
+    sewn, crossings = nudged_apart(_gathered(scene, placed, number), triangles, scene.body, present)
+    return np.asarray(sewn[number]), crossings
+
+
+def _one_by_one(which: list[Bools]) -> Iterator[list[Bools]]:
+    """The points of each seam, one at a time."""
+    for k, points in enumerate(which):
+        for point in np.flatnonzero(points).tolist():
+            single = [np.zeros_like(other) for other in which]
+            single[k][point] = True
+            yield single
 
 
 def _points_that_count(scene: Scene, model: Model, x: Floats) -> Ints:

@@ -7,16 +7,17 @@ closed, its pairs become one particle each.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
-from cloth_core.garment import Garment
+from cloth_core.garment import Garment, Seam
 from cloth_core.kernel import kernel
 
-__all__ = ["SeamPull", "build_seam_pull", "seam_forces", "seam_gaps"]
+__all__ = ["SeamPull", "build_seam_pull", "renumbered_pull", "seam_forces", "seam_gaps"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -42,14 +43,17 @@ class SeamPull(NamedTuple):
     largest_force: float
 
 
-def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats, softness: float = 1.0) -> SeamPull:
-    """Seam springs of a garment at positions x (n, 3) [m].
+def build_seam_pull(
+    garment: Garment, fabric: Fabric, x: Floats, softness: float = 1.0, seams: Sequence[Seam] | None = None
+) -> SeamPull:
+    """Seam springs of a garment at positions x (n, 3) [m], for some of its seams or for all; unsewn numbering.
 
     They are as stiff as the cloth itself, so that they do not shorten the time step, and pull at most as hard as a
     stretch of the fabric by its strain limit would; softness: what the cloth's own stiffness is multiplied by.
     """
-    if garment.seams:
-        both = np.concatenate([np.stack([s.first, s.second], 1) for s in garment.seams])
+    seams = garment.seams if seams is None else seams
+    if seams:
+        both = np.concatenate([np.stack([s.first, s.second], 1) for s in seams])
         pairs = np.unique(np.sort(both[both[:, 0] != both[:, 1]], axis=1), axis=0).astype(np.int32)
     else:
         pairs = np.zeros((0, 2), dtype=np.int32)
@@ -63,6 +67,17 @@ def build_seam_pull(garment: Garment, fabric: Fabric, x: Floats, softness: float
         damping=2.0 * _DAMPING_RATIO * np.sqrt(stiffness * reduced),
         stiffness=stiffness,
         largest_force=max(fabric.strain_limit, 0.05) * structural * garment.spacing,
+    )
+
+
+def renumbered_pull(pull: SeamPull, number: Ints) -> SeamPull:
+    """The same springs where particles are merged to `number` (n,), without those whose ends are one by now."""
+    pairs = number[pull.pairs]
+    apart = pairs[:, 0] != pairs[:, 1]
+    return pull._replace(
+        pairs=np.ascontiguousarray(pairs[apart], dtype=np.int32),
+        start_length=pull.start_length[apart],
+        damping=pull.damping[apart],
     )
 
 

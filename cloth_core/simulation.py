@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.calming import Calming
+from cloth_core.calming import Calming, limit_speed
 from cloth_core.coarse_start import Interpolation, interpolation_between, pushed_out_of_body
 from cloth_core.contact import SPENT, ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
@@ -21,10 +21,10 @@ from cloth_core.implicit_step import ImplicitState, implicit_steps
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
 from cloth_core.report import Report
-from cloth_core.rest import RestWatch, slowest_swing
+from cloth_core.rest import RestWatch, StallWatch, slowest_swing, why_restless
 from cloth_core.run_report import RunState, description_of, hash_of, report_of
 from cloth_core.scene import Scene
-from cloth_core.seam_closing import SeamClosing, count_crossings, why_open
+from cloth_core.seam_closing import SeamClosing, count_crossings
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
 from cloth_core.support import why_unsupported
@@ -58,6 +58,8 @@ _COARSER = 2.0
 _COARSEST = 0.04
 # Air drag while seams close [1/s].
 _SEWING_DRAG = 10.0
+# A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
+_PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # A run that has come to rest is no longer stepped when nothing moves farther than this in a window [m].
@@ -123,6 +125,8 @@ class Simulation:
         self._has_settled = self._asleep = False
         self._time_not_stepped = 0.0
         self._seams = SeamClosing()
+        self._stall_watch = StallWatch()
+        self._stalled = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
         self._impulse_step = 1.0
@@ -219,6 +223,7 @@ class Simulation:
         longer steps, and gives them their true stiffness when the seams have closed.
         """
         self._seeking_rest = True
+        self._stall_watch, self._stalled = StallWatch(), ""
         self._calming.active = True
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
@@ -233,11 +238,11 @@ class Simulation:
             if self.time >= self.scene.settings.max_time:
                 reason = f"not at rest after {self.time:.3g} s, the longest time that the settings allow"
                 break
-            unsupported = None
-            if self.phase != SEWING and not self.grasps:
-                unsupported = why_unsupported(self.model.scene, self._x)
-            if unsupported:
-                reason = unsupported
+            hopeless: str | None = self._stalled
+            if not hopeless and self.phase != SEWING and not self.grasps:
+                hopeless = why_unsupported(self.model.scene, self._x)
+            if hopeless:
+                reason = hopeless
                 break
             self.tick()
             if on_tick is not None and on_tick(self):
@@ -263,7 +268,7 @@ class Simulation:
             nonlocal stopped
             self.time, self.steps, self.phase = coarse.time, coarse.steps, coarse.phase
             stopped = on_tick is not None and bool(on_tick(self))
-            return stopped or not coarse._calming.active
+            return stopped or not coarse._calming.active or bool(coarse._seams.open_seams)
 
         try:
             coarse = Simulation(replace(scene, fabric=scene.fabric.smoothed).with_spacing(spacing))
@@ -401,13 +406,16 @@ class Simulation:
         self.steps += done
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
-        if self._seeking_rest and self.phase != SEWING:
-            if self._calming.active:
+        if self._seeking_rest:
+            limit_speed(self._v)
+            if self.phase != SEWING and self._calming.active:
                 self._calming.brake(self._v, self._dt * self._tick_steps)
         if self.model.softness < 1.0 and self.time - self._sewing_began > settings.closing_time:
             self._stiffen()
         if self.phase == SEWING:
             self._sew()
+        elif self._sew_the_rest():
+            pass
         elif self._rest.due(self.time):
             self._check_rest()
         if self.time >= self._next_check:
@@ -539,9 +547,20 @@ class Simulation:
         model = self._seams.merged(self.scene, self.model, self.positions, self.time, self.time - self._sewing_began)
         if model is None:
             return
-        self._warnings += why_open(self.scene, self._seams.open_seams, self.positions)
         self.phase = DRAPING
-        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]), self.model.softness)
+        # Merging moves points at once: what that stretches or shortens comes back softly.
+        softness = _SOFTNESS if self._seeking_rest else self.model.softness
+        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]), softness)
+
+    def _sew_the_rest(self) -> bool:
+        """Merge points of seams that had to stay open at first; whether some were."""
+        if not self._seams.open_seams or self._body_motion is not None or self.grasps:
+            return False
+        model = self._seams.merged_later(self.scene, self.model, self.positions, self.time)
+        if model is None:
+            return False
+        self._use(model, self._seams.positions, np.asarray(self._v[self.model.number]))
+        return True
 
     def _open_window(self) -> None:
         settings, gravity = self.scene.settings, self.scene.gravity
@@ -554,6 +573,10 @@ class Simulation:
         at_rest = self._rest.at_rest(self.time, self._x)
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
+        patience = _PATIENCE_WHEN_OPEN if self._seams.open_seams else _PATIENCE
+        if self._seeking_rest and not at_rest and self._stall_watch.stalls(self.time, movement, patience):
+            stalled_for = self.time - self._stall_watch.since
+            self._stalled = why_restless(self.scene.garment, self.model.number, self._x, self._rest, stalled_for)
         if self._seeking_rest and self._calming.active:
             if self._calming.ended(movement, allowed):
                 self._open_window()
@@ -601,16 +624,17 @@ class Simulation:
         """Measure the present state (exact triangle tests included)."""
         if rest_reason is None:
             rest_reason = "at rest" if self.settled else f"{self.phase}"
+        why_open = self._seams.why_open(self.scene, self.positions)
         return report_of(
             self._state,
             steps=self.steps,
             wall_time=self._wall,
             settled=self.settled,
             rest_reason=rest_reason,
-            open_seams=tuple(self._seams.open_seams),
+            open_seams=tuple(why_open),
             contact_searches=self._searches,
             time_not_stepped=self._time_not_stepped,
-            warnings=self._warnings,
+            warnings=[*self._warnings, *why_open.values()],
         )
 
     def state_hash(self) -> str:

@@ -8,7 +8,7 @@ from apparatus import sheet
 
 from cloth_core.fabric import Fabric
 from cloth_core.quality import Settings
-from cloth_core.rest import RestWatch, slowest_swing
+from cloth_core.rest import RestWatch, StallWatch, slowest_swing
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
 
@@ -73,3 +73,21 @@ def test_sheet_called_settled_moves_no_farther_than_promised(held):
         simulation.advance(WINDOW)
         ways.append(float(np.linalg.norm(simulation.positions - before, axis=1).max()))
     assert max(ways) <= 1.5 * DISPLACEMENT
+
+
+@pytest.mark.parametrize(("decay", "stalls"), [(0.2, False), (0.3, False), (0.4, True), (1e9, True)])
+def test_movements_that_do_not_halve_within_the_patience_stall(decay, stalls):
+    # 0.01 exp(-t / decay) halves in 0.69 decay: within 0.25 s up to a decay of 0.36 s.
+    watch = StallWatch()
+    times = np.arange(0.0, 3.0, 0.01)
+    assert any(watch.stalls(t, 0.01 * math.exp(-t / decay), 0.25) for t in times.tolist()) == stalls
+
+
+def test_particle_that_went_farthest_is_known():
+    watch = RestWatch(DISPLACEMENT, WINDOW, 3.0)
+    x = np.zeros((4, 3))
+    watch.open(0.0, x)
+    x[2, 1] = 0.004
+    x[3, 1] = 0.003
+    watch.at_rest(WINDOW, x)
+    assert (watch.farthest, watch.movement) == (2, pytest.approx(0.004))

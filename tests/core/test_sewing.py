@@ -257,6 +257,68 @@ def test_late_merge_leaves_open_what_would_cross():
     assert closing.open_seams == {seam.name: pytest.approx(0.006)}
 
 
+def test_points_that_had_to_stay_two_hold_on_to_each_other_and_merge_when_the_way_is_free():
+    scene = ribbon_between()
+    garment = scene.garment
+    (seam,) = garment.seams
+    closing = SeamClosing()
+    late = scene.settings.sewing_time
+    merged = closing.merged(scene, Model(scene, sewing=True), garment.start, late, late)
+    assert merged is not None
+    two = merged.number[seam.first] != merged.number[seam.second]
+    assert 0 < two.sum() < len(two)
+    assert merged.seam_pull is not None
+    wanted = np.stack([merged.number[seam.first], merged.number[seam.second]], axis=1)[two]
+    assert {frozenset(pair) for pair in merged.seam_pull.pairs.tolist()} == {
+        frozenset(pair) for pair in wanted.tolist()
+    }
+    # As long as the ribbon is there, no more than what it leaves room for; when it has gone sideways, all is one.
+    time = late
+    while (more := closing.merged_later(scene, merged, closing.positions, time := time + 0.21)) is not None:
+        assert more.particle_count < merged.particle_count
+        assert crossing_sides(more.gather(closing.positions, garment.particle_areas), more.triangles) == 0
+        merged = more
+    assert (merged.number[seam.first] != merged.number[seam.second]).any()
+    gone = closing.positions + np.outer(garment.panel_of_particle == 2, [0.0, 0.5, 0.0])
+    whole = closing.merged_later(scene, merged, gone, time + 0.21)
+    assert whole is not None
+    assert (whole.number[seam.first] == whole.number[seam.second]).all()
+    assert closing.open_seams == {}
+    assert whole.seam_pull is None or len(whole.seam_pull.pairs) == 0
+    assert closing.merged_later(scene, whole, gone, time + 0.42) is None
+
+
+def test_points_that_cannot_merge_are_let_go_after_a_while():
+    scene = ribbon_between()
+    closing = SeamClosing()
+    late = scene.settings.sewing_time
+    merged = closing.merged(scene, Model(scene, sewing=True), scene.garment.start, late, late)
+    assert merged is not None
+    free = closing.merged_later(scene, merged, closing.positions, late + 2.0)
+    assert free is not None
+    assert free.seam_pull is None
+    assert np.array_equal(free.number, merged.number)
+    assert list(closing.open_seams) == [scene.garment.seams[0].name]
+    assert closing.merged_later(scene, free, closing.positions, late + 4.0) is None
+
+
+def test_hopeless_seams_are_given_up_early_and_nothing_rushes():
+    # A tube of two times 0.4 m around a column of 1.6 m, for which it is pulled as hard as may be.
+    scene = scene_of(tube(apart=0.4), block(), fabric=Fabric.preset("denim"))
+    simulation = Simulation(scene)
+    fastest = 0.0
+
+    def look(run: Simulation) -> bool:
+        nonlocal fastest
+        fastest = max(fastest, run.progress.largest_speed)
+        return run.phase != "sewing"
+
+    simulation.settle(look)
+    assert scene.settings.closing_time + 0.5 < simulation.time < scene.settings.sewing_time - 0.5
+    assert len(simulation.report().open_seams) == 2
+    assert fastest <= 3.0 + 1e-9
+
+
 def test_garment_without_seams_does_not_sew():
     simulation = Simulation(scene_of(pattern({"p": rectangle(0.2, 0.2)})))
     assert simulation.phase == "draping"
