@@ -11,6 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.kernel import kernel
+
 __all__ = ["Calming", "limit_speed"]
 
 Floats = NDArray[np.float64]
@@ -48,11 +50,7 @@ class Calming:
 
         What turns round, or trembles because layers push it to and fro, stops.
         """
-        before = self._before
-        slower = ((v - before) * v).sum(axis=1) < 0.0
-        v[slower] *= math.exp(-_BRAKING * elapsed)
-        v[(before * v).sum(axis=1) < 0.0] = 0.0
-        self._before = v.copy()
+        _brake(v, self._before, math.exp(-_BRAKING * elapsed))
 
     def ended(self, movement: float, allowed: float) -> bool:
         """Stop braking if the movement in a window is small enough [m], to see whether all stays when nothing does."""
@@ -69,3 +67,15 @@ def limit_speed(v: Floats) -> None:
     speed = np.sqrt((v**2).sum(axis=1))
     rushing = speed > _RUSH
     v[rushing] *= (_RUSH / speed[rushing])[:, None]
+
+
+@kernel
+def _brake(v: Floats, before: Floats, share: float) -> None:
+    """Multiply what is slower than before by share, stop what has turned round, and note v (n, 3) as before."""
+    for i in range(v.shape[0]):
+        now = v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2]
+        both = before[i, 0] * v[i, 0] + before[i, 1] * v[i, 1] + before[i, 2] * v[i, 2]
+        factor = 0.0 if both < 0.0 else (share if now < both else 1.0)
+        for axis in range(3):
+            v[i, axis] *= factor
+            before[i, axis] = v[i, axis]

@@ -18,6 +18,7 @@ from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.implicit_matrix import build_matrix
 from cloth_core.implicit_step import ImplicitState, implicit_steps
+from cloth_core.kernel import kernel
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
 from cloth_core.report import Report
@@ -529,10 +530,9 @@ class Simulation:
         return float(np.sqrt((self._v**2).sum(axis=1).max()))
 
     def _check_finite(self, good_x: Floats, good_v: Floats) -> None:
-        bad = ~(np.isfinite(self._x).all(axis=1) & (np.abs(self._v) < _HIGHEST_SPEED).all(axis=1))
-        if not bad.any():
+        particle = _first_out_of_bounds(self._x, self._v)
+        if particle < 0:
             return
-        particle = int(np.flatnonzero(bad)[0])
         self._x, self._v = good_x, good_v
         self.phase = FAILED
         original = int(np.flatnonzero(self.model.number == particle)[0])
@@ -644,3 +644,13 @@ class Simulation:
     def describe(self) -> dict[str, Any]:
         """Terms with reasons and measured shares, counts and the stable time step, as JSON types; nothing is run."""
         return description_of(self._state)
+
+
+@kernel
+def _first_out_of_bounds(x: Floats, v: Floats) -> int:
+    """First particle whose place is not finite or whose speed is none that cloth can have, -1 if there is none."""
+    for i in range(x.shape[0]):
+        for axis in range(3):
+            if not (np.isfinite(x[i, axis]) and abs(v[i, axis]) < _HIGHEST_SPEED):
+                return i
+    return -1
