@@ -223,6 +223,14 @@ class Simulation:
         run from the start drapes a coarser mesh first, sews with soft structural springs (`Model.soften`), which allows
         longer steps, and gives them their true stiffness when the seams have closed.
         """
+        reason = self._come_to_rest(on_tick)
+        self._seeking_rest = False
+        self.model.soften(1.0)
+        self._refresh_time_step(tolerance=5e-4)
+        return self.report(reason)
+
+    def _come_to_rest(self, on_tick: OnTick | None) -> str:
+        """Run until the cloth lies still or there is no hope that it will; why it ended."""
         self._seeking_rest = True
         self._stall_watch, self._stalled = StallWatch(), ""
         self._calming.active = True
@@ -248,10 +256,7 @@ class Simulation:
             self.tick()
             if on_tick is not None and on_tick(self):
                 break
-        self._seeking_rest = False
-        self.model.soften(1.0)
-        self._refresh_time_step(tolerance=5e-4)
-        return self.report(reason)
+        return reason
 
     def _start_coarse(self, on_tick: OnTick | None) -> bool:
         """Drape a coarser mesh first, and start from there; whether on_tick asked to stop meanwhile.
@@ -276,7 +281,7 @@ class Simulation:
             coarse._calming.rough = True
             interpolation = interpolation_between(coarse.scene.garment, scene.garment)
             self._coarse = (coarse, interpolation)
-            coarse.settle(follow)
+            coarse._come_to_rest(follow)
         except ClothError:
             return stopped
         finally:
