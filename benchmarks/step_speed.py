@@ -35,6 +35,8 @@ from cloth_core.simulation import Simulation
 from cloth_core.springs import spring_forces
 from cloth_core.step import run_steps, total_force
 from cloth_core.strain_limit import hold_strain
+from cloth_core.trellis import trellis_forces
+from cloth_core.twist import twist_forces
 
 HERE = Path(__file__).parent
 FLAGS = ["-O3", "-march=native", "-ffast-math", "-mprefer-vector-width=512", "-fopenmp"]
@@ -144,9 +146,11 @@ def kernels(simulation: Simulation) -> dict[str, float]:
     total_force(x, v, t, 0.0, w)
     result = {
         "springs": microseconds(lambda: spring_forces(w.x, w.v, t.springs, t.spring_damping_time, w.force)),
+        "shear of cells": microseconds(lambda: trellis_forces(w.x, w.v, t.trellis, t.spring_damping_time, w.force)),
         "bending": microseconds(
             lambda: bending_forces(w.ahead, t.lines, t.hinges, t.hinge_weights, t.hinge_stiffness, w.force)
         ),
+        "twist": microseconds(lambda: twist_forces(w.ahead, t.twists, w.force)),
         "gravity": microseconds(lambda: gravity_forces(t.mass, t.gravity, w.force)),
         "Euler by axis": microseconds(lambda: euler_by_axis(w.x, w.v, w.force, 0.0 * t.inverse_mass, dt)),
         "strain limit": microseconds(lambda: hold_strain(x, v, t.inverse_mass, t.spring_pairs, limit, dt)),
