@@ -58,7 +58,9 @@ def measured(table: dict[str, Any]) -> list[str]:
             order = "none"
         else:
             order = f"{found['order']:.2f}" + ("" if found["converges"] else ", not convergence")
-        lines.append(f"| {scene['scene']} | {' | '.join(cells)} | {1000 * scene['spread']:.1f} | {order} |")
+        # There is none where fewer than two of the starts came to rest.
+        spread = f"{1000 * scene['spread']:.1f}" if scene["spread"] > 0.0 else "-"
+        lines.append(f"| {scene['scene']} | {' | '.join(cells)} | {spread} | {order} |")
     return [*lines, ""]
 
 

@@ -181,7 +181,7 @@ def membrane(axes: Any) -> Rows:
                 axes.plot(1000 * np.array(spacings), found[name], "o", markersize=4, label=name)
             rows.append((f"membrane {name}, {law} (structural 500 / 300, shear 70 N/m)", f"{value:g} N/m",
                          f"{found[name][-1] + 0.0:.2f} N/m"))  # fmt: skip
-    axes.set(xlabel="spacing [mm]", ylabel="stiffness [N/m]", title="membrane of the square grid, shear springs")
+    axes.set(xlabel="spacing [mm]", ylabel="stiffness [N/m]", title="membrane, shear springs")
     return rows
 
 

@@ -103,9 +103,9 @@ class Model:
         self._fabric = fabric
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
         self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
-        cells = garment.quads[: len(garment.quads) if fabric.shear > 0.0 else 0]
-        self.trellis: Ints = np.asarray(self.number[cells], dtype=np.int32)
-        self.trellis_stiffness: Floats = trellis_stiffness(garment, fabric.shear)[: len(cells)]
+        cells = slice(None) if fabric.shear > 0.0 else slice(0)
+        self.trellis: Ints = np.asarray(self.number[garment.quads[cells]], dtype=np.int32)
+        self.trellis_stiffness: Floats = trellis_stiffness(garment, fabric.shear)[cells]
         self._trellis_runs = find_runs(self.trellis, self.trellis_stiffness[:, None])
         self.softness = 1.0
         self._stiffness = self.springs.stiffness

@@ -221,7 +221,7 @@ class Simulation:
         about to: a swing that turns round is none (`cloth_core.rest`). The way there is not physical in time, only its
         end is the equilibrium: extra air drag (`settle_drag`) and braking of what slows down calm the swinging, and a
         run from the start drapes a coarser mesh first, sews with soft structural springs (`Model.soften`), which allows
-        longer steps, and gives them their true stiffness when the seams have closed.
+        longer steps, and gives them their true stiffness when the seams have closed; nothing moves faster than 3 m/s.
         """
         reason = self._come_to_rest(on_tick)
         self._seeking_rest = False
@@ -420,9 +420,7 @@ class Simulation:
             self._stiffen()
         if self.phase == SEWING:
             self._sew()
-        elif self._sew_the_rest():
-            pass
-        elif self._rest.due(self.time):
+        elif not self._sew_the_rest() and self._rest.due(self.time):
             self._check_rest()
         if self.time >= self._next_check:
             self._refresh_time_step()
