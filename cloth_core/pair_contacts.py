@@ -45,6 +45,9 @@ COUNTS_FROM = 1.02
 _SWEEPS = 4
 # Time in which cloth that is too near comes out, to 1/e [s].
 PUSH_TIME = 0.01
+# Where there is no room for all, as in a fold at a point where seams meet, pairs that are too near push each other to
+# and fro for ever. For each second in which a pair gets nowhere it takes so much longer, up to the second number [s].
+_TIRES, _TIRED = 4.0, 1.0
 
 
 class PairContacts(NamedTuple):
@@ -62,6 +65,7 @@ class PairContacts(NamedTuple):
         gap: distance to the offset before the step [m], (s,).
         impulse: what the contact gave in the last step along the normal [N s], (s,).
         friction: the same across the normal [N s], (s, 3).
+        stuck: by how much more slowly the pair comes out than others, because it did not get anywhere [s], (s,).
         listed: pairs that can come into contact before the next search; the first listed_count[0] count, (s,).
         listed_distance: their distances at the search [m], (s,).
         active: pairs in contact; the first active_count[0] count, (s,).
@@ -77,6 +81,7 @@ class PairContacts(NamedTuple):
     gap: Floats
     impulse: Floats
     friction: Floats
+    stuck: Floats
     listed: Ints
     listed_distance: Floats
     listed_count: Ints
@@ -98,6 +103,7 @@ class PairContacts(NamedTuple):
             gap=np.zeros(count),
             impulse=np.zeros(count),
             friction=np.zeros((count, 3)),
+            stuck=np.zeros(count),
             listed=np.zeros(count, dtype=np.int32),
             listed_distance=np.zeros(count),
             listed_count=np.zeros(1, dtype=np.int32),
@@ -125,6 +131,8 @@ class PairContacts(NamedTuple):
             (self.normal, before.normal),
             (self.impulse, before.impulse),
             (self.friction, before.friction),
+            (self.gap, before.gap),
+            (self.stuck, before.stuck),
         ):
             mine[new] = theirs[old]
         self.active[: len(new)] = new
@@ -244,7 +252,7 @@ def hold_pairs(
         s = pairs.active[r]
         way = dt * (pairs.impulse[s] - given[r, 0])
         if pairs.gap[s] < 0.0:
-            way += min(push_speed, -pairs.gap[s] / PUSH_TIME) * dt * stiff[r]
+            way += min(push_speed, -pairs.gap[s] / (PUSH_TIME + pairs.stuck[s])) * dt * stiff[r]
         wx = way * pairs.normal[s, 0] + dt * (pairs.friction[s, 0] - given[r, 1])
         wy = way * pairs.normal[s, 1] + dt * (pairs.friction[s, 1] - given[r, 2])
         wz = way * pairs.normal[s, 2] + dt * (pairs.friction[s, 2] - given[r, 3])
@@ -282,7 +290,7 @@ def _find_active(
         if pairs.listed_distance[entry] - reach <= _way(pairs, s, moved):
             squared = measure_pair(x, pairs, s, body_x, closest)
         if squared >= reach * reach or squared < 1e-24:
-            pairs.impulse[s] = 0.0
+            pairs.impulse[s] = pairs.gap[s] = 0.0
             for axis in range(3):
                 pairs.friction[s, axis] = 0.0
             continue
@@ -291,7 +299,12 @@ def _find_active(
             pairs.normal[s, axis] = closest[axis] / distance
         vx, vy, vz = _relative_velocity(v, body_v, pairs, s)
         approach = vx * pairs.normal[s, 0] + vy * pairs.normal[s, 1] + vz * pairs.normal[s, 2]
-        pairs.gap[s] = distance - pairs.offset[s] - dt * approach
+        before, pairs.gap[s] = pairs.gap[s], distance - pairs.offset[s] - dt * approach
+        # Of the way out that it was to take it has taken less than a half: something else holds it there.
+        if before < 0.0 and pairs.gap[s] < before * (1.0 - 0.5 * dt / (PUSH_TIME + pairs.stuck[s])):
+            pairs.stuck[s] = min(pairs.stuck[s] + _TIRES * dt, _TIRED)
+        else:
+            pairs.stuck[s] = max(pairs.stuck[s] - dt, 0.0)
         if size > 0.0:  # and it is given again where they touch now
             _apply_kept(x, v, inverse_mass, pairs, s, 1.0, dt)
         pairs.active[count] = s
