@@ -97,6 +97,7 @@ class SettingResult:
 
     Attributes:
         name: what sets it apart.
+        plain: whether nothing but the spacing was chosen.
         settings: the fields that differ from the default ones.
         cpu_seconds, wall_seconds, load: of the run; load of the machine when it began.
         particles, steps: counts.
@@ -106,6 +107,7 @@ class SettingResult:
     """
 
     name: str
+    plain: bool
     settings: dict[str, Any]
     cpu_seconds: float
     wall_seconds: float
@@ -155,8 +157,20 @@ class Tradeoff:
         return found.left if found is not None and found.converges and found.left is not None else 0.0
 
     def bound(self, result: SettingResult) -> float:
-        """Error that can be stated for a setting [m]: measured, and what the reference lacks; at least the spread."""
-        return max(math.inf if result.error is None else result.error + self.reference_left, self.spread)
+        """Error that can be stated for a setting [m]: what was measured and what the reference lacks, at least the spread.
+
+        One drape is nearer than another by chance, too. So a coarser spacing is not said to be nearer than a finer one
+        was found to be, nor a dial to bring a drape nearer by less than the spread.
+        """
+        if result.error is None:
+            return math.inf
+        spacing = result.settings["spacing"]
+        as_fine = [r for r in self.results if r.plain and r.error is not None and r.settings["spacing"] <= spacing]
+        error = max([result.error, *(r.error or 0.0 for r in as_fine)])
+        same = next((r.error for r in as_fine if r.settings["spacing"] == spacing), None)
+        if not result.plain and same is not None and result.error < same - self.spread:
+            error = result.error
+        return max(error + self.reference_left, self.spread)
 
     def cheapest(self, tolerance: float) -> SettingResult | None:
         """The cheapest setting whose stated error is within the tolerance [m]; of those that cost the same the plainest."""
@@ -272,9 +286,9 @@ def evaluate(plan: Plan, runs: Sequence[MeasuredRun]) -> Tradeoff:
         ]
         for a, b in combinations(moving, 2)
     }
-    results = [_result(f"spacing {1000 * run.spacing:g} mm", run, reference) for run in drapes[:-1]]
+    results = [_result("", run, reference) for run in drapes[:-1]]
     results += [
-        _result(f"spacing {1000 * run.spacing:g} mm, {dial.name} {dial.shown(value)}", run, reference)
+        _result(f"{dial.name} {dial.shown(value)}", run, reference)
         for dial, value, run in varied
     ]
     found = Tradeoff(
@@ -309,7 +323,7 @@ def front(points: Sequence[tuple[float, float, int]]) -> set[int]:
     return chosen
 
 
-def _result(name: str, run: MeasuredRun, reference: MeasuredRun) -> SettingResult:
+def _result(dial: str, run: MeasuredRun, reference: MeasuredRun) -> SettingResult:
     error = drape_error(run.drape, reference.drape) if run.failed is None else None
     default = Settings()
     changed = {
@@ -318,7 +332,8 @@ def _result(name: str, run: MeasuredRun, reference: MeasuredRun) -> SettingResul
         if key == "spacing" or (value != getattr(default, key, None) and not key.startswith("expected"))
     }
     return SettingResult(
-        name=name,
+        name=f"spacing {1000 * run.spacing:g} mm" + (f", {dial}" if dial else ""),
+        plain=not dial,
         settings=changed,
         cpu_seconds=run.cpu_seconds,
         wall_seconds=float(run.facts["wall_seconds"]),

@@ -89,6 +89,30 @@ def test_stated_error_has_what_the_reference_lacks_and_is_at_least_the_spread():
     assert all(chance.bound(r) == chance.spread > 0.001 for r in chance.results)
 
 
+def test_what_is_nearer_by_chance_is_not_said_to_be():
+    # 20 mm came out worse than 40 mm, and 40 mm with the dial turned better by less than the spread, or by more.
+    heights = {0.04: 0.005, 0.02: 0.006, 0.01: 0.0}
+
+    def chance(gain):
+        def height(request):
+            turned = gain if request.settings.safety == 0.5 else 0.0
+            return heights.get(request.settings.spacing, 0.006) + 0.003 * (request.seed == 1) - turned
+
+        return height
+
+    for gain, turned in ((0.001, 0.006), (0.004, 0.001)):
+        found = tradeoff_of(chance(gain))
+        assert 0.001 < found.spread < 0.004
+        assert found.reference_left == 0.0
+        stated = {r.name: found.bound(r) for r in found.results}
+        assert stated["spacing 20 mm"] == pytest.approx(0.006)
+        assert stated["spacing 40 mm"] == pytest.approx(0.006)
+        assert stated["spacing 40 mm, safety 0.5"] == pytest.approx(max(turned, found.spread))
+        chosen = "spacing 40 mm" + (", safety 0.5" if gain > found.spread else "")
+        assert found.cheapest(0.0065).name == "spacing 40 mm"
+        assert [r.name for r in found.results if r.on_front] == [chosen]
+
+
 def test_advice_is_the_cheapest_that_is_good_enough():
     def cost(request):
         return request.settings.spacing**-3 * (0.5 if request.settings.safety == 0.5 else 1.0)
