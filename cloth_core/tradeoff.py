@@ -157,7 +157,7 @@ class Tradeoff:
         return found.left if found is not None and found.converges and found.left is not None else 0.0
 
     def bound(self, result: SettingResult) -> float:
-        """Error that can be stated for a setting [m]: what was measured and what the reference lacks, at least the spread.
+        """Error that can be stated for a setting [m]: measured and what the reference lacks, at least the spread.
 
         One drape is nearer than another by chance, too. So a coarser spacing is not said to be nearer than a finer one
         was found to be, nor a dial to bring a drape nearer by less than the spread.
@@ -173,7 +173,7 @@ class Tradeoff:
         return max(error + self.reference_left, self.spread)
 
     def cheapest(self, tolerance: float) -> SettingResult | None:
-        """The cheapest setting whose stated error is within the tolerance [m]; of those that cost the same the plainest."""
+        """The cheapest setting whose stated error is within the tolerance [m]; at the same cost the plainest."""
         good = [r for r in self.results if r.error is not None and self.bound(r) <= tolerance]
         least = min((r.cpu_seconds for r in good), default=0.0)
         same = [r for r in good if r.cpu_seconds <= (1.0 + _SAME_COST) * least]
@@ -287,10 +287,7 @@ def evaluate(plan: Plan, runs: Sequence[MeasuredRun]) -> Tradeoff:
         for a, b in combinations(moving, 2)
     }
     results = [_result("", run, reference) for run in drapes[:-1]]
-    results += [
-        _result(f"{dial.name} {dial.shown(value)}", run, reference)
-        for dial, value, run in varied
-    ]
+    results += [_result(f"{dial.name} {dial.shown(value)}", run, reference) for dial, value, run in varied]
     found = Tradeoff(
         scene=str(reference.facts["scene_name"]),
         reference_spacing=reference.spacing,

@@ -64,10 +64,10 @@ def as_markdown(tradeoff: Tradeoff, tolerance: float | None = None) -> str:
         f"- Spacing: {_order(tradeoff.spacing_convergence)}",
         f"- Time step, of the motion: {_order(tradeoff.time_step_convergence)}",
         "",
-        "Stated: error RMS and what the reference itself is estimated to lack, at least the spread. Each setting is one "
-        "drape, near or far by chance, too: a coarser spacing is not said to be nearer than a finer one was found to be, "
-        "nor a dial to gain less than the spread. Processor times differ by up to 15 % from run to run. On the front: what "
-        "nothing cheaper equals in stated error.",
+        "Stated: error RMS and what the reference itself is estimated to lack, at least the spread. Each setting is "
+        "one drape, near or far by chance, too: a coarser spacing is not said to be nearer than a finer one was found "
+        "to be, nor a dial to gain less than the spread. Processor times differ by up to 15 % from run to run. On the "
+        "front: what nothing cheaper equals in stated error.",
     ]
     return "\n".join(lines) + "\n"
 

@@ -61,7 +61,7 @@ def in_a_gripper() -> Simulation:
     simulation = hung()
     corner = simulation.positions[24]
     simulation.grasp("hand", np.array([24]), Pose.of(corner))
-    simulation.move_grasp("hand", Pose.of(corner + [0.0, 0.0, 0.1]))
+    simulation.move_grasp("hand", Pose.of(corner + np.array([0.0, 0.0, 0.1])))
     return simulation
 
 
@@ -105,7 +105,9 @@ def test_the_last_good_state_stays_whatever_was_under_way(path, monkeypatch):
     look(simulation)
     with monkeypatch.context() as patch:
         Broken(patch, loop, first=4)
-        with pytest.raises(SimulationError, match=r"^particle \d+ of panel '\w+': left all bounds at .*; use a smaller"):
+        with pytest.raises(
+            SimulationError, match=r"^particle \d+ of panel '\w+': left all bounds at .*; use a smaller"
+        ):
             drive(simulation, look)
     # Where it is, and when, is what was seen after the last good tick; with a body that moves, or a little later, what
     # the cloth around it was like.

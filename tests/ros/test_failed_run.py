@@ -2,12 +2,12 @@
 
 import math
 
-import cloth_core.simulation
 import numpy as np
 import pytest
 from small_scenes import handkerchief
 from test_worker import Bench
 
+import cloth_core.simulation
 from cloth_core.errors import ClothError
 from cloth_sim_ros.messages import decode_marker
 from cloth_sim_ros.topics import GARMENT
@@ -38,7 +38,9 @@ def test_no_frame_is_ever_not_finite_and_the_last_is_the_last_good_state(bench, 
         patch.setattr(cloth_core.simulation, "run_steps", breaks_later)
         while not bench.listener.warnings:
             getattr(bench.worker, command)()
-            bench.listener.wait(lambda: bench.listener.warnings or bench.worker.describe()["state"] in ("paused", "rest"))
+            bench.listener.wait(
+                lambda: bench.listener.warnings or bench.worker.describe()["state"] in ("paused", "rest")
+            )
     assert bench.listener.warnings[0].startswith("the run failed: particle ")
     assert "left all bounds at" in bench.listener.warnings[0]
     frames = [decode_marker(data).points for data in bench.listener.of(GARMENT)]
