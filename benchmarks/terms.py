@@ -172,9 +172,9 @@ What a scene does not need is not there: no arrays, no tree, no loop. Measured b
   what came closer than the thickness.
 - **Regions at rest are stepped as long as the rest of the garment is not at rest.**
   {resting}. Forces run over
-  whole rows of the grid at once; leaving out particles would break these rows, and what creeps is not at rest: a sleeping
-  region would have to be woken by strain, contact and everything from outside. At most that share of the steps after
-  sewing could be saved. What is done: no search where nothing moves
+  whole rows of the grid at once; leaving out particles would break these rows, and what creeps is not at rest: a
+  sleeping region would have to be woken by strain, contact and everything from outside. At most that share of the steps
+  after sewing could be saved. What is done: no search where nothing moves
   (`test_cloth_on_cloth.py::test_candidates_are_kept_while_they_hold`), and a run at rest is not stepped at all.
 - **The body's tree has all of its triangles.** It is built once for each body, and its upper boxes leave out what is
   far away (last row). Cutting the body to what cloth can reach would gain next to nothing, and would have to be undone
