@@ -381,10 +381,10 @@ What to read from it:
   starts, at 10 mm, where stiff cloth has a fold less, they end 0.5 to 3 points below. Wool is in its band at 10 mm and
   just below it at 6 mm (38.3 to 39.9 %).
 - Silk hangs less freely than its class, and its shear stiffness is not why: at 10 mm with 11, 17, 22 and 30 N/m it has
-  42 - 46, 41 - 47, 42 - 47 and 41 - 45 %. It is its bending length of 15 mm, that of the wool, which drapes alike. By the
-  published four, 28 % at 12.2 mm and 50 % at 16.0 mm, 44 % is to be expected there. The figure that it rests on, 2 uN m,
-  is typical of all cloth below 60 g/m²; with the bending of the limpest twentieth of 618 fabrics (second row) silk is
-  where its class is. No measured bending of a silk was found to put in its place.
+  42 - 46, 41 - 47, 42 - 47 and 41 - 45 %. It is its bending length of 15 mm, that of the wool, which drapes alike. By
+  the published four, 28 % at 12.2 mm and 50 % at 16.0 mm, 44 % is to be expected there. The figure that it rests on,
+  2 uN m, is typical of all cloth below 60 g/m²; with the bending of the limpest twentieth of 618 fabrics (second row)
+  silk is where its class is. No measured bending of a silk was found to put in its place.
 - Each fold more or less changes the coefficient by some per cent; how many there are depends on the 0.1 mm of
   unevenness from which they grow.
 """
