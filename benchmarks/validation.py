@@ -381,7 +381,7 @@ What to read from it:
 - With a spring along each diagonal of a cell, as in the paper, limp cloth is too stiff on coarse grids: faille at 10 mm
   49 % then, 41 % with the trellis (loaded at once, both). See [accuracy](accuracy.md).
 - Bands: at 6 mm cotton poplin (59.9, 64.1, 64.4 %) and denim (69.8, 73.2, 73.4 %) reach theirs with two of three
-  starts, at 10 mm, where stiff cloth has a fold less, they end 0.5 to 3 points below. Wool is in its band at 10 mm and
+  starts, at 10 mm, where stiff cloth has a fold less, they end up to 3 points below. Wool is in its band at 10 mm and
   just below it at 6 mm (38.3 to 39.9 %).
 - Silk hangs less freely than its class, and its shear stiffness is not why: at 10 mm with 11, 17, 22 and 30 N/m it has
   42 - 46, 41 - 47, 42 - 47 and 41 - 45 %. It is its bending length of 15 mm, that of the wool, which drapes alike. By
