@@ -63,6 +63,9 @@ class _FixedStep(Simulation):
             model.contact = None  # contact of cloth with cloth holds back what blows up, and hides it
         super()._use(model, unsewn_x, unsewn_v, softness)
 
+    def _refuse_to_go_on(self) -> None:
+        """A trial that blew up is followed by the next one, from the start again."""
+
     def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
         super()._refresh_time_step(estimate and self.fixed_step is None, tolerance)
         if self.fixed_step is not None:

@@ -29,7 +29,7 @@ class Convergence:
     """What refinement does.
 
     Attributes:
-        order: p, None where the distances do not shrink.
+        order: p, None where the distances do not shrink, or follow no power up to the sixth.
         constant: C, in metres per unit of the step to the power p.
         left: C h^p at the finest step [m], None without an order.
         misfit: RMS of measured minus fitted distance, as a share of the largest distance.
@@ -79,7 +79,7 @@ def fit_convergence(distances: Mapping[tuple[float, float], float], spread: floa
     order, (constant, misfit) = float(orders[best]), fits[best]
     top = float(measured.max())
     share = misfit / top if top > 0.0 else 0.0
-    if constant <= 0.0 or best == 0:
+    if constant <= 0.0 or best in (0, len(orders) - 1):
         return Convergence(None, None, None, share, within, False)
     left = constant * (finest / scale) ** order
     converges = share < _MOST_MISFIT and order >= _LEAST_ORDER and not within

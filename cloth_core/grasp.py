@@ -131,13 +131,18 @@ class Grasps:
             model, x: present model and its positions [m], (k, 3).
 
         Raises:
-            SimulationError: the gripper holds something already, or there is nothing to hold.
+            SimulationError: the gripper holds something already, there is nothing to hold, or no such particle.
         """
         if name in self._grippers:
             raise SimulationError(
                 f"{name}: it holds {len(self._grippers[name].particles)} particles; release them first"
             )
         chosen = np.unique(np.asarray(particles, dtype=np.int32))
+        wrong = chosen[(chosen < 0) | (chosen >= len(model.number))]
+        if len(wrong):
+            raise SimulationError(
+                f"{name}: particle {wrong[0]} does not exist, there are {len(model.number)}; number them from 0"
+            )
         taken = [model.number[g.particles] for g in self._grippers.values()]
         if taken:
             chosen = chosen[~np.isin(model.number[chosen], np.concatenate(taken))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from cloth_core.approach import brought_near
 from cloth_core.body import Body
 from cloth_core.calibration import Cloth
+from cloth_core.crossed_start import crossed_start_warnings
 from cloth_core.curled_start import curled_inside_limbs
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
@@ -31,6 +33,8 @@ STANDARD_GRAVITY = 9.80665  # m/s^2
 _DISTURBANCE = 1e-4
 # Between panels that had to be moved apart at the start [m].
 _PANEL_GAP = 0.01
+# Farthest coordinate [m]: double precision has steps of 2 nm there.
+_FARTHEST = 1e7
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,7 @@ class Scene:
         if not (math.isfinite(self.air_drag) and self.air_drag >= 0.0):
             raise SceneError(f"air drag: {self.air_drag!r} is not a number of at least 0; give it in 1/s")
         check_without(self.without)
+        _check_places(self.garment)
         pins = np.asarray(self.pins)
         if pins.size and (pins.min() < 0 or pins.max() >= self.garment.particle_count):
             wrong = int(pins[(pins < 0) | (pins >= self.garment.particle_count)][0])
@@ -83,7 +88,11 @@ class Scene:
                 f"tolerance {1000 * settings.tolerance:g} mm: finer than any setting is measured to reach; the finest, "
                 f"{1000 * settings.spacing:g} mm, is taken without a promise",
             )
-        return lines + (self.body.warnings if self.body else ()) + self.garment.warnings
+        return lines + (self.body.warnings if self.body else ()) + self.garment.warnings + self._crossed_start
+
+    @cached_property
+    def _crossed_start(self) -> tuple[str, ...]:
+        return crossed_start_warnings(self.garment)
 
     @classmethod
     def build(
@@ -168,6 +177,18 @@ class Scene:
         way = np.random.default_rng(seed).standard_normal(self.garment.start.shape)
         way *= _DISTURBANCE / np.linalg.norm(way, axis=1, keepdims=True)
         return replace(self, garment=replace(self.garment, start=self.garment.start + way), seed=seed)
+
+
+def _check_places(garment: Garment) -> None:
+    """Refuse a particle whose place is no number, or so far away that rounding would be seen."""
+    for what, places in (("start", garment.start), ("rest", garment.rest)):
+        wrong = np.flatnonzero(~(np.abs(places) <= _FARTHEST).all(axis=1))
+        if len(wrong):
+            where = garment.panel_names[garment.panel_of_particle[wrong[0]]]
+            raise SceneError(
+                f"panel '{where}', particle {wrong[0]}: its {what} position {places[wrong[0]].tolist()} is not within "
+                f"{_FARTHEST:g} m of the origin; mend the pattern or move the scene"
+            )
 
 
 def _check_scale(garment: Garment, body: Body) -> None:

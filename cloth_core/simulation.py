@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,15 @@ class Progress:
     estimated_rest_time: float | None
 
 
+class _FiniteState(NamedTuple):
+    """What a run goes back to when it fails: positions and velocities (n, 3) [m, m/s], time [s], steps."""
+
+    x: Floats
+    v: Floats
+    time: float
+    steps: int
+
+
 class Simulation:
     """A scene in motion.
 
@@ -129,6 +138,7 @@ class Simulation:
         self._seams = SeamClosing()
         self._stall_watch = StallWatch()
         self._stalled = ""
+        self._failure = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
         self._sewing_began = 0.0
         self._impulse_step = 1.0
@@ -189,7 +199,7 @@ class Simulation:
         """Do a fixed small number of steps; compiled code releases the GIL meanwhile.
 
         Raises:
-            SimulationError: the state would no longer be finite; the last good one is kept.
+            SimulationError: the state would no longer be finite; the last good one is kept, and only `reset` goes on.
         """
         self._run(self._tick_steps)
 
@@ -223,7 +233,11 @@ class Simulation:
         end is the equilibrium: extra air drag (`settle_drag`) and braking of what slows down calm the swinging, and a
         run from the start drapes a coarser mesh first, sews with soft structural springs (`Model.soften`), which allows
         longer steps, and gives them their true stiffness when the seams have closed; nothing moves faster than 3 m/s.
+
+        Raises:
+            SimulationError: as in tick.
         """
+        self._refuse_to_go_on()
         reason = self._come_to_rest(on_tick)
         self._seeking_rest = False
         self.model.soften(1.0)
@@ -382,9 +396,10 @@ class Simulation:
             self._body_motion = None
 
     def _run(self, count: int, last_time: float = math.inf) -> None:
+        self._refuse_to_go_on()
         began = time.perf_counter()
         before = self.time
-        good_x, good_v = self._x.copy(), self._v.copy()
+        good = self._finite_state()
         done = 0
         dt = self._dt if last_time == math.inf else min(self._dt, (last_time - self.time) / count)
         settings = self.scene.settings
@@ -400,17 +415,18 @@ class Simulation:
             openness = self._openness()
             did = self._steps(step, steps, openness)
             done += did
+            self.steps += did
             self.time += did * step
             self.grasps.advance(did / steps)
             if motion is not None:
-                self._check_finite(good_x, good_v)
+                self._check_finite(good)
                 self._advance_body(did * step)
                 self._search_contacts()
+                good = self._finite_state()  # of the cloth around the body where it is by now
             elif did < steps and self.model.contact is not None:
-                self._check_finite(good_x, good_v)
+                self._check_finite(good)
                 self._search_contacts()
-        self._check_finite(good_x, good_v)
-        self.steps += done
+        self._check_finite(good)
         if self.model.contact is not None and self._contacts_spent():
             self._search_contacts()
         if self._seeking_rest:
@@ -540,18 +556,26 @@ class Simulation:
     def _largest_speed(self) -> float:
         return float(np.sqrt((self._v**2).sum(axis=1).max()))
 
-    def _check_finite(self, good_x: Floats, good_v: Floats) -> None:
+    def _refuse_to_go_on(self) -> None:
+        if self._failure:
+            raise SimulationError(f"the run has failed and cannot go on, reset it: {self._failure}")
+
+    def _finite_state(self) -> _FiniteState:
+        return _FiniteState(self._x.copy(), self._v.copy(), self.time, self.steps)
+
+    def _check_finite(self, good: _FiniteState) -> None:
         particle = _first_out_of_bounds(self._x, self._v)
         if particle < 0:
             return
-        self._x, self._v = good_x, good_v
-        self.phase = FAILED
         original = int(np.flatnonzero(self.model.number == particle)[0])
         panel = self.scene.garment.panel_names[self.scene.garment.panel_of_particle[original]]
-        raise SimulationError(
+        self._failure = (
             f"particle {original} of panel '{panel}': left all bounds at {self.time:.4f} s with a time step of "
             f"{self._dt:.3g} s; use a smaller time step or safety factor"
         )
+        self._x, self._v, self.time, self.steps = good
+        self.phase, self.settled = FAILED, False
+        raise SimulationError(self._failure)
 
     def _sew(self) -> None:
         """Merge the seams when they have closed."""

@@ -61,6 +61,8 @@ _NEIGHBOURS = (0.98, 1.02)
 # Shares of the stable time step at which the motion is compared, and the times [s].
 _STEP_SHARES = (0.8, 0.4, 0.2)
 _MOTION_TIMES = (0.1, 0.2, 0.3, 0.4)
+# Costs nearer to each other than this are the same: so much do processor times of one and the same run differ.
+_SAME_COST = 0.15
 
 
 @dataclass(frozen=True)
@@ -95,15 +97,17 @@ class SettingResult:
 
     Attributes:
         name: what sets it apart.
+        plain: whether nothing but the spacing was chosen.
         settings: the fields that differ from the default ones.
         cpu_seconds, wall_seconds, load: of the run; load of the machine when it began.
         particles, steps: counts.
         error, largest: distance to the reference, RMS and largest [m]; None for a run that came to no rest.
-        on_front: whether nothing is both cheaper and nearer.
+        on_front: whether nothing that is cheaper states as small an error.
         failed: why there is no error.
     """
 
     name: str
+    plain: bool
     settings: dict[str, Any]
     cpu_seconds: float
     wall_seconds: float
@@ -127,7 +131,7 @@ class Tradeoff:
         spread_of_starts, spread_of_spacings: RMS distance of drapes whose start was moved by 0.1 mm, and of spacings
             2 % apart [m].
         spread: the larger of both: no smaller error can be told apart or promised.
-        results: all settings, the cheapest first; the reference is not among them.
+        results: all settings, the cheapest first, those without an error last; the reference is not among them.
         reference_cpu_seconds: what the reference cost.
     """
 
@@ -153,13 +157,31 @@ class Tradeoff:
         return found.left if found is not None and found.converges and found.left is not None else 0.0
 
     def bound(self, result: SettingResult) -> float:
-        """Error that can be stated for a setting [m]: measured, and what the reference lacks; at least the spread."""
-        return max(math.inf if result.error is None else result.error + self.reference_left, self.spread)
+        """Error that can be stated for a setting [m]: measured and what the reference lacks, at least the spread.
+
+        One drape is nearer than another by chance, too. So a coarser spacing is not said to be nearer than a finer one
+        was found to be, nor a dial to bring a drape nearer by less than the spread.
+        """
+        if result.error is None:
+            return math.inf
+        spacing = result.settings["spacing"]
+        as_fine = [r for r in self.results if r.plain and r.error is not None and r.settings["spacing"] <= spacing]
+        error = max([result.error, *(r.error or 0.0 for r in as_fine)])
+        same = next((r.error for r in as_fine if r.settings["spacing"] == spacing), None)
+        if not result.plain and same is not None and result.error < same - self.spread:
+            error = result.error
+        return max(error + self.reference_left, self.spread)
 
     def cheapest(self, tolerance: float) -> SettingResult | None:
-        """The cheapest setting whose stated error is within the tolerance [m]."""
+        """The cheapest setting whose stated error is within the tolerance [m]; at the same cost the plainest."""
         good = [r for r in self.results if r.error is not None and self.bound(r) <= tolerance]
-        return min(good, key=lambda r: r.cpu_seconds, default=None)
+        least = min((r.cpu_seconds for r in good), default=0.0)
+        same = [r for r in good if r.cpu_seconds <= (1.0 + _SAME_COST) * least]
+        return min(same, key=lambda r: (len(r.settings), r.cpu_seconds), default=None)
+
+    def is_within_spread(self, result: SettingResult) -> bool:
+        """Whether a setting's drape is no farther from the reference than equally right drapes are from each other."""
+        return result.error is not None and 0.0 < self.bound(result) <= self.spread
 
     def advice(self, tolerance: float | None) -> str:
         """One line."""
@@ -169,9 +191,7 @@ class Tradeoff:
                 return "no setting came to rest; see the reasons in the table"
             # Where the front bends: more cost buys no more than the spread.
             enough = next((r for r in best if self.bound(r) <= 1.2 * self.bound(best[-1])), best[-1])
-            return (
-                f"without a tolerance: {enough.name}, error {_mm(self.bound(enough))}, {_seconds(enough.cpu_seconds)}"
-            )
+            return f"without a tolerance: {self._facts(enough)}"
         if tolerance < self.spread:
             return (
                 f"tolerance {_mm(tolerance)}: drapes of this scene that are equally right differ by "
@@ -182,9 +202,16 @@ class Tradeoff:
             return (
                 f"tolerance {_mm(tolerance)}: none of the settings tried meets it; add a finer spacing than the finest"
             )
+        return f"tolerance {_mm(tolerance)}: the cheapest setting is {self._facts(chosen)}"
+
+    def _facts(self, result: SettingResult) -> str:
+        chance = ""
+        if self.is_within_spread(result):
+            chance = " (as far as equally right drapes are apart: nothing dearer is measurably nearer)"
+        arguments = ", ".join(f"{key}={value!r}" for key, value in result.settings.items())
         return (
-            f"tolerance {_mm(tolerance)}: the cheapest setting is {chosen.name}, error {_mm(self.bound(chosen))}, "
-            f"{_seconds(chosen.cpu_seconds)}"
+            f"{result.name}, error {_mm(self.bound(result))}{chance}, {_seconds(result.cpu_seconds)}; "
+            f"in Python Settings({arguments})"
         )
 
 
@@ -259,14 +286,9 @@ def evaluate(plan: Plan, runs: Sequence[MeasuredRun]) -> Tradeoff:
         ]
         for a, b in combinations(moving, 2)
     }
-    results = [_result(f"spacing {1000 * run.spacing:g} mm", run, reference) for run in drapes[:-1]]
-    results += [
-        _result(f"spacing {1000 * run.spacing:g} mm, {dial.name} {dial.shown(value)}", run, reference)
-        for dial, value, run in varied
-    ]
-    best = front([(r.cpu_seconds, r.error) for r in results])
-    results = [replace(r, on_front=k in best) for k, r in enumerate(results)]
-    return Tradeoff(
+    results = [_result("", run, reference) for run in drapes[:-1]]
+    results += [_result(f"{dial.name} {dial.shown(value)}", run, reference) for dial, value, run in varied]
+    found = Tradeoff(
         scene=str(reference.facts["scene_name"]),
         reference_spacing=reference.spacing,
         spacing_convergence=fit_convergence(between, spread) if len(resting) >= 3 else None,
@@ -274,23 +296,31 @@ def evaluate(plan: Plan, runs: Sequence[MeasuredRun]) -> Tradeoff:
         spread_spacing=middle.spacing,
         spread_of_starts=spread_of_starts,
         spread_of_spacings=spread_of_spacings,
-        results=tuple(sorted(results, key=lambda r: r.cpu_seconds)),
+        results=tuple(sorted(results, key=lambda r: (r.error is None, r.cpu_seconds))),
         reference_cpu_seconds=reference.cpu_seconds,
     )
+    best = front([(r.cpu_seconds, found.bound(r), len(r.settings)) for r in found.results])
+    return replace(found, results=tuple(replace(r, on_front=k in best) for k, r in enumerate(found.results)))
 
 
-def front(points: Sequence[tuple[float, float | None]]) -> set[int]:
-    """Indices of the (cost, error) that no other one beats in both; those without an error are never on it."""
-    best, chosen = math.inf, set()
-    for k in sorted(range(len(points)), key=lambda k: (points[k][0], points[k][1] or 0.0)):
-        error = points[k][1]
-        if error is not None and error < best:
-            best = error
-            chosen.add(k)
+def front(points: Sequence[tuple[float, float, int]]) -> set[int]:
+    """Indices of the (cost, stated error, number of settings changed) that nothing cheaper equals in error.
+
+    Of those whose cost cannot be told apart the nearest is taken, and of equally near ones the plainest: neither a
+    difference within the spread nor one within the noise of processor time is a reason to turn a dial.
+    """
+    left = {k for k, (_, error, _) in enumerate(points) if error < math.inf}
+    chosen = set()
+    while left:
+        least = min(points[k][0] for k in left)
+        same = [k for k in left if points[k][0] <= (1.0 + _SAME_COST) * least]
+        best = min(same, key=lambda k: (points[k][1], points[k][2], points[k][0], k))
+        chosen.add(best)
+        left = {k for k in left if points[k][1] < points[best][1]}
     return chosen
 
 
-def _result(name: str, run: MeasuredRun, reference: MeasuredRun) -> SettingResult:
+def _result(dial: str, run: MeasuredRun, reference: MeasuredRun) -> SettingResult:
     error = drape_error(run.drape, reference.drape) if run.failed is None else None
     default = Settings()
     changed = {
@@ -299,7 +329,8 @@ def _result(name: str, run: MeasuredRun, reference: MeasuredRun) -> SettingResul
         if key == "spacing" or (value != getattr(default, key, None) and not key.startswith("expected"))
     }
     return SettingResult(
-        name=name,
+        name=f"spacing {1000 * run.spacing:g} mm" + (f", {dial}" if dial else ""),
+        plain=not dial,
         settings=changed,
         cpu_seconds=run.cpu_seconds,
         wall_seconds=float(run.facts["wall_seconds"]),

@@ -45,12 +45,15 @@ def run_tradeoff(
         raise ClothError("--quality: a trade-off tries all of them; leave it out")
     recipe = SceneRecipe(tuple(patterns), body, fabric, gravity, air_drag, without=without)
     base = Settings() if max_time is None else replace(Settings(), max_time=max_time)
-    plan = plan_tradeoff(recipe, base, _spacings(spacings), _dials(vary))
+    chosen, dials = _spacings(spacings), _dials(vary)
+    plan = plan_tradeoff(recipe, base, chosen, dials)
     folder = Path(output)
     limit = None if tolerance is None else tolerance / 1000.0
     with ProgressDisplay() as display, Interruption() as interruption:
         display.step(f"reading {recipe.name}")
-        recipe.build(plan.drapes[0].settings)  # what is wrong with the scene is said before anything runs
+        scene = recipe.build(plan.drapes[0].settings)  # what is wrong with the scene is said before anything runs
+        if vary is None and scene.garment.seams:  # implicit steps sew none
+            plan = plan_tradeoff(recipe, base, chosen, [dial for dial in dials if dial.field != "integrator"])
 
         def show(done: float, whole: float, runs: int, all_runs: int) -> None:
             display.share(f"{runs} of {all_runs} runs, {{done}} % of the work", 100.0 * done / whole, 100.0)

@@ -73,13 +73,20 @@ def published_fabric(name: str, shear: float = 30.0) -> Fabric:
     )  # fmt: skip
 
 
-def drape(fabric: Fabric, spacing: float = 0.01, seed: int = 0, loads: Sequence[float] = LOADS) -> Drape:
+def drape(
+    fabric: Fabric,
+    spacing: float = 0.01,
+    seed: int = 0,
+    loads: Sequence[float] = LOADS,
+    start: np.ndarray | None = None,
+) -> Drape:
     """Drape a disc.
 
-    It starts with unevenness of 0.1 mm, from which its folds grow; the seed draws it.
+    It starts with unevenness of 0.1 mm, from which its folds grow; the seed draws it. Or with given heights [m], (n,).
     """
     garment = disc(spacing)
-    uneven = 1e-4 * np.random.default_rng(seed).standard_normal(garment.particle_count)
+    random = 1e-4 * np.random.default_rng(seed).standard_normal(garment.particle_count)
+    uneven = random if start is None else start
     garment = replace(garment, start=garment.start + uneven[:, None] * [0.0, 0.0, 1.0])
     table = body_of(trimesh.creation.cylinder(SUPPORT_RADIUS, 0.3, sections=96), move=(0.0, 0.0, -0.15))
     clamped = np.flatnonzero(np.hypot(*garment.rest.T) < SUPPORT_RADIUS - 0.25 * spacing).astype(np.int32)

@@ -55,6 +55,14 @@ def test_what_does_not_approach_anything_has_no_order():
     assert not found.converges
 
 
+def test_a_coarsest_level_that_is_far_from_all_others_makes_no_order():
+    # Any high power fits that equally well: it is the end of those that are tried.
+    measured = {(40, 30): 8.0, (40, 20): 8.0, (40, 10): 8.0, (30, 20): 0.1, (30, 10): 0.1, (20, 10): 0.1}
+    found = fit_convergence(measured)
+    assert found.order is found.left is None
+    assert not found.converges
+
+
 def test_distances_that_grow_towards_the_finest_are_no_convergence():
     """Of a T-shirt at 40 to 10 mm: each level differs from the next by as much as the one before, or more."""
     measured = {(40, 30): 7.5, (40, 20): 8.9, (40, 15): 11.0, (40, 10): 13.2, (30, 20): 4.5}

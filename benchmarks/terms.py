@@ -1,0 +1,216 @@
+"""Writes docs/terms.md: what a scene does not need is not paid for, with the measured gain of each.
+
+    python benchmarks/terms.py [--output docs/terms.md]
+
+Takes about a minute on one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cloth_core.body import Body
+from cloth_core.contact import Contact
+from cloth_core.fabric import Fabric
+from cloth_core.garment import Garment
+from cloth_core.pattern import Pattern
+from cloth_core.quality import Settings
+from cloth_core.scene import Scene
+from cloth_core.simulation import Simulation
+from cloth_core.term_cost import term_costs
+
+ROOT = Path(__file__).parents[1]
+SPACING = 0.02
+# How little a particle moves in 0.05 s to count as resting here [m].
+_RESTING = 1e-6
+
+
+def cpu(run: Callable[[], object]) -> float:
+    """Processor seconds."""
+    began = time.process_time()
+    run()
+    return time.process_time() - began
+
+
+def tshirt(**changes: object) -> Scene:
+    """On the young woman."""
+    scene = Scene.build(Pattern.load("tshirt"), Body.load("young"), settings=Settings(spacing=SPACING))
+    return replace(scene, **changes)
+
+
+def hung_sheet(without: tuple[str, ...] = (), air_drag: float = 1.0) -> Simulation:
+    """A square metre of poplin that swings down from level, held at two corners."""
+    pattern = Pattern.load("rectangle")
+    garment = Garment.from_pattern(pattern, SPACING)
+    width, height = np.ptp(garment.rest[:, :2], axis=0)
+    flat = np.column_stack([garment.rest[:, 0], garment.rest[:, 1], np.zeros(len(garment.rest))])
+    corners = np.flatnonzero(
+        (np.abs(garment.rest[:, 0]) > 0.499 * width) & (garment.rest[:, 1] > garment.rest[:, 1].max() - 0.001 * height)
+    ).astype(np.int32)
+    return Simulation(Scene(
+        garment=replace(garment, start=flat), fabric=Fabric.preset("cotton_poplin"), pins=corners, air_drag=air_drag,
+        settings=Settings(spacing=SPACING), without=without,
+    ))  # fmt: skip
+
+
+def step_cost(simulation: Simulation, term: str = "step") -> float:
+    """Microseconds that one step, or one term of it, takes on the present state; best of some measurements."""
+    s = simulation
+    return min(term_costs(s._x, s._v, s._terms, s._contact_settings, s._contacts, s.time_step)[term] for _ in range(5))
+
+
+def self_contact() -> str:
+    """Swinging sheet with and without."""
+    off, on = (hung_sheet(without) for without in (("self contact",), ()))
+    listed = int(on._contacts.pairs.listed_count[0])
+    seconds = [cpu(lambda: s.advance(0.3)) / s.time for s in (off, on)]  # noqa: B023
+    met = int(on._contacts.pairs.listed_count[0])
+    contact = on.model.contact
+    assert contact is not None
+    return (
+        f"{len(on._x)} particles that swing down, held at two corners: {seconds[1]:.2f} s of processor time for a "
+        f"simulated second with the search ({contact.broad_phases} in {on.time:.1f} s), {seconds[0]:.2f} without; "
+        f"{listed} pairs at the start, {met} at the end"
+    )
+
+
+def air() -> str:
+    """A step with and without air."""
+    off, on = (step_cost(hung_sheet(("self contact",), air_drag)) for air_drag in (0.0, 1.0))
+    return f"a step of that sheet: {on:.1f} us with air, {off:.1f} without"
+
+
+def rest() -> str:
+    """Stepping and not stepping what lies still; how much of a garment rests while it still drapes."""
+    simulation = Simulation(tshirt())
+    resting: list[float] = []
+    last: list[tuple[float, np.ndarray]] = []
+
+    def look(s: Simulation) -> None:
+        if s._coarse is not None:
+            return
+        x = s.positions
+        if last and s.time - last[-1][0] < 0.05:
+            return
+        if last:
+            resting.append(float((np.linalg.norm(x - last[-1][1], axis=1) < _RESTING).mean()))
+        last.append((s.time, x))
+
+    assert simulation.settle(look).settled
+    awake = cpu(lambda: simulation.advance(0.5)) / 0.5
+    while not simulation._asleep and simulation.time < 60.0:
+        simulation.advance(0.5)
+    asleep = cpu(lambda: simulation.advance(1000.0))
+    return (
+        f"T-shirt at {1000 * SPACING:g} mm after rest: {awake:.2f} s for a simulated second that is stepped, "
+        f"{1e3 * asleep:.1f} ms for 1000 s that are not. While it still draped, {100 * np.mean(resting):.0f} % of its "
+        f"particles on average moved by less than 1 um in 0.05 s"
+    )
+
+
+def seams() -> str:
+    """Before and after merging."""
+    simulation = Simulation(tshirt())
+    particles, whole, pull = len(simulation._x), step_cost(simulation), step_cost(simulation, "seams")
+    while simulation.phase == "sewing":
+        simulation.tick()
+    return (
+        f"T-shirt at {1000 * SPACING:g} mm: {particles} particles become {len(simulation._x)}, and the pull of the "
+        f"seams, {pull:.1f} of {whole:.0f} us of a step, is gone"
+    )
+
+
+def body_tree() -> str:
+    """Search against the whole body and against what the cloth can reach."""
+    scene = tshirt()
+    body = scene.body
+    assert body is not None
+    low, high = scene.garment.start.min(axis=0) - 0.1, scene.garment.start.max(axis=0) + 0.1
+    corners = body.vertices[body.triangles]
+    near = ((corners.max(axis=1) > low) & (corners.min(axis=1) < high)).all(axis=1)
+    cropped = Body.from_arrays(body.vertices, body.triangles[near], "reach")
+    milliseconds = []
+    for solid in (body, cropped):
+        simulation = Simulation(replace(scene, body=solid, worn=()))
+        contact = simulation.model.contact
+        assert contact is not None
+        whole = search_cost(simulation, contact)
+        contact.cloth = None
+        milliseconds.append(search_cost(simulation, contact))
+    return (
+        f"{near.sum()} of {len(near)} triangles lie within 10 cm of the T-shirt: a search against them takes "
+        f"{milliseconds[1]:.2f} ms, against all {milliseconds[0]:.2f} ms; with cloth against cloth {whole:.1f} ms"
+    )
+
+
+def search_cost(simulation: Simulation, contact: Contact) -> float:
+    """Milliseconds of a broad phase at the present state, best of five."""
+    return min(50.0 * cpu(lambda: [contact._broad_phase(simulation._x) for _ in range(20)]) for _ in range(5))
+
+
+PAGE = """# Only what the scene requires
+
+What a scene does not need is not there: no arrays, no tree, no loop. Measured by `python benchmarks/terms.py`
+(processor time of one thread; it varies by 10 to 20 % from run to run), tests by name in `tests/core`.
+
+| what | how it is found out | measured | it comes back by itself | off costs nothing and changes no bit |
+|---|---|---|---|---|
+{rows}
+
+## What is not done, and why
+
+- **Self contact is not switched off beforehand.** Any sheet can be folded onto itself, so that nothing can be proved
+  before a run. Instead the search looks ahead: pairs of what can meet before the next search are listed, and where
+  there are none, no response runs. What remains is the search itself, and that is most of the cost where cloth moves
+  fast and meets nothing (first row). Who knows that it cannot says `--without "self contact"`, and the report counts
+  what came closer than the thickness.
+- **Regions at rest are stepped as long as the rest of the garment is not at rest.**
+  {resting}. Forces run over
+  whole rows of the grid at once; leaving out particles would break these rows, and what creeps is not at rest: a
+  sleeping region would have to be woken by strain, contact and everything from outside. At most that share of the steps
+  after sewing could be saved. What is done: no search where nothing moves
+  (`test_cloth_on_cloth.py::test_candidates_are_kept_while_they_hold`), and a run at rest is not stepped at all.
+- **The body's tree has all of its triangles.** It is built once for each body, and its upper boxes leave out what is
+  far away (last row). Cutting the body to what cloth can reach would gain next to nothing, and would have to be undone
+  whenever cloth or body moves.
+"""
+
+
+def main() -> None:
+    """Measures and writes the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "terms.md")
+    output = parser.parse_args().output
+    Simulation(tshirt()).settle()  # compiles
+    hung_sheet().advance(0.05)
+    asleep, _, resting = rest().partition(". ")
+    rows = (
+        ("self contact", "pairs within reach of the next search; none: no response", self_contact(),
+         "`test_only_what_is_needed.py::test_self_contact_...`",
+         "`test_switched_off.py::test_self_contact_that_is_off_changes_no_bit_...`, `..._has_no_arrays`"),
+        ("air", "k_a = 0", air(), "`test_only_what_is_needed.py::test_drag_of_a_run_to_rest_...`",
+         "`test_switched_off.py::test_term_that_is_off_...`"),
+        ("cloth at rest", "nothing moves by 0.1 um in a window after a run to rest", asleep,
+         "`test_asleep.py::test_a_gripper_wakes_it`, `..._a_body_that_moves_...`, `..._a_reset_...`",
+         "`test_asleep.py::test_after_rest_time_goes_on_without_steps`, `..._stepping_on_would_have_changed_nothing`"),
+        ("seams", "all points have met: merged into one particle each", seams(),
+         "`test_simulation.py::test_reset_opens_the_seams_again`, "
+         "`test_sewing.py::test_points_that_had_to_stay_two_...`",
+         "`test_only_what_is_needed.py::test_garment_that_is_sewn_...`"),
+        ("body out of reach", "boxes of its tree", body_tree(),
+         "`test_only_what_is_needed.py::test_body_that_was_out_of_reach_...`",
+         "`test_only_what_is_needed.py::test_body_out_of_reach_...`, `test_switched_off.py::test_without_body_...`"),
+    )  # fmt: skip
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    output.write_text(PAGE.format(rows=table, resting=resting), encoding="utf-8")
+    print(output.read_text(encoding="utf-8"))
+
+
+if __name__ == "__main__":
+    main()

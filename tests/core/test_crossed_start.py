@@ -1,0 +1,129 @@
+"""Cloth that passes through itself where it starts: named, and never more than at the start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from apparatus import body_of, pattern, plain_fabric, rectangle, sheet
+from naive_geometry import is_edge_intersecting_triangle
+
+from cloth_core.body import Body
+from cloth_core.crossed_start import crossing_at_start
+from cloth_core.fabric import Fabric
+from cloth_core.garment import Garment
+from cloth_core.intersections import self_crossing_edges
+from cloth_core.mesh_topology import unique_edges
+from cloth_core.pattern import Pattern
+from cloth_core.quality import Settings
+from cloth_core.scene import Scene
+from cloth_core.simulation import Simulation
+
+SPACING = 0.025
+CROSS = {"a": rectangle(0.2, 0.2, turned=(-90, 0, 0)), "b": rectangle(0.2, 0.2, turned=(0, 90, 0))}
+"""A level panel and an upright one through it."""
+
+
+def cross() -> Garment:
+    return Garment.from_pattern(pattern(CROSS, name="cross"), SPACING)
+
+
+def sewn_cross() -> Garment:
+    """The same with one side of each sewn to one side of the other."""
+    return Garment.from_pattern(pattern(CROSS, [(("a", 1), ("b", 2))], name="cross"), SPACING)
+
+
+def loop() -> Garment:
+    """A strip wound once around, whose ends pass through each other like those of a fish drawn in one line."""
+    garment = sheet(0.5, 0.1, SPACING)
+    t = 2.0 * np.pi * 0.8 * garment.rest[:, 0] / 0.5
+    x = 0.08 * np.column_stack([np.sin(2.0 * t), garment.rest[:, 1] / 0.08, np.cos(t)])
+    return replace(garment, start=x)
+
+
+def loops() -> Garment:
+    """A strip in a row of loops (a prolate trochoid), each through itself and its neighbours."""
+    garment = sheet(0.5, 0.1, SPACING)
+    t = garment.rest[:, 0] / 0.03
+    x = np.column_stack([0.01 * t - 0.03 * np.sin(t) + 0.1 * garment.rest[:, 1], garment.rest[:, 1], -0.03 * np.cos(t)])
+    return replace(garment, start=x)
+
+
+STARTS = {"cross": cross, "sewn cross": sewn_cross, "loop": loop, "loops": loops}
+
+
+def counted_naively(garment: Garment) -> int:
+    """Sides that pass through any triangle with which they share no corner, seams taken for sewn."""
+    sides, _ = unique_edges(garment.triangles)
+    s, t = (k.ravel() for k in np.meshgrid(np.arange(len(sides)), np.arange(len(garment.triangles)), indexing="ij"))
+    number = garment.merged_indices
+    apart = (number[sides[s]][:, :, None] != number[garment.triangles[t]][:, None, :]).all(axis=(1, 2))
+    s, t = s[apart], t[apart]
+    ends, corners = garment.start[sides[s]].transpose(1, 0, 2), garment.start[garment.triangles[t]].transpose(1, 0, 2)
+    return len(np.unique(s[is_edge_intersecting_triangle(*ends, *corners)]))
+
+
+@pytest.mark.parametrize("what", STARTS)
+def test_number_of_crossings_is_that_of_a_count_by_another_formula(what):
+    # A little aside, where nothing just touches: there the formulas may differ.
+    garment = STARTS[what]()
+    way = 1e-4 * np.random.default_rng(1).standard_normal(garment.start.shape)
+    moved = replace(garment, start=garment.start + way)
+    assert len(crossing_at_start(moved)) == counted_naively(moved) > 10
+
+
+@pytest.mark.parametrize("what", STARTS)
+def test_cloth_that_starts_crossed_is_warned_about_with_its_panels(what):
+    garment = STARTS[what]()
+    simulation = Simulation(Scene(garment=garment, fabric=plain_fabric()))
+    count = len(crossing_at_start(garment))
+    panels = "'a', 'b'" if "cross" in what else "'sheet'"
+    expected = f"garment '{garment.name}': {count} sides of panel {panels} pass through the cloth where it starts; what"
+    for warnings in (simulation.scene.warnings, simulation.report().warnings, simulation.describe()["warnings"]):
+        (found,) = [w for w in warnings if w.startswith(expected)]
+        assert found.endswith("place the panels apart")
+        assert "\n" not in found
+
+
+def test_start_that_does_not_cross_is_not_warned_about():
+    # Nor do built-in garments, though the panels of the dress touch where they are to be sewn.
+    flat = Scene(garment=sheet(0.2, 0.2, SPACING), fabric=plain_fabric())
+    assert flat.warnings == ()
+    for name in ("tshirt", "skirt", "trousers", "dress"):
+        scene = Scene.build(Pattern.load(name), Body.load("young"), settings=Settings(spacing=SPACING))
+        assert not [w for w in (*scene.warnings, *scene.disturbed(1).warnings) if "pass through" in w]
+    # And panels that a pattern places across each other are moved apart.
+    apart = Scene.build(pattern(CROSS), settings=Settings(spacing=SPACING))
+    assert len(crossing_at_start(apart.garment)) == 0
+
+
+BALL = body_of(trimesh.creation.icosphere(2, radius=0.06), move=(0.0, 0.0, -0.25))
+
+
+WAYS = [(what, way) for what in STARTS for way in ("advance", "settle", "implicit")]
+WAYS.remove(("sewn cross", "implicit"))  # implicit steps sew no seams
+
+
+@pytest.mark.parametrize(("what", "way"), WAYS)
+def test_crossings_never_become_more(what, way):
+    garment = STARTS[what]()
+    settings = Settings(
+        spacing=SPACING, max_time=0.3, integrator="implicit" if way == "implicit" else "symplectic", closing_time=0.1
+    )
+    # Two corners are held, so that what is free swings down and against the rest of it.
+    held = np.argsort(garment.start[:, 2])[-2:].astype(np.int32)
+    scene = Scene(garment=garment, fabric=Fabric.preset("silk"), pins=held, body=BALL, settings=settings)
+    simulation = Simulation(scene)
+    counts = [len(crossing_at_start(garment))]
+
+    def look(s: Simulation) -> None:
+        assert np.isfinite(s.positions).all()
+        counts.append(len(self_crossing_edges(s.positions, s.triangles, garment.merged_indices)))
+
+    if way == "settle":
+        simulation.settle(look)
+    else:
+        simulation.advance(0.25, look)
+    assert counts[0] > 10
+    assert max(counts) == counts[0]
+    assert np.abs(simulation.positions - garment.start).max() > 0.005  # it did move
