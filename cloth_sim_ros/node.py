@@ -30,10 +30,11 @@ from cloth_core.errors import ClothError, PatternError, SceneError
 from cloth_core.grasp import Pose
 from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
-from cloth_sim_ros.delivery import PacedPublisher, configure_fast_dds
+from cloth_sim_ros.delivery import Departure, PacedPublisher, configure_fast_dds
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
+from cloth_sim_ros.sending_thread import SendingThread
 from cloth_sim_ros.simulation_services import SimulationServices, import_types
 from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
 from cloth_sim_ros.warm_up import warm_up
@@ -45,6 +46,8 @@ DIAGNOSTICS_PERIOD = 1.0
 """Wall-clock time between two diagnostics [s]."""
 POLL_PERIOD = 0.01
 """Between two looks at whether steps that were asked for are done [s]."""
+LAST_DELIVERY = 1.0
+"""How long the end waits until all has been sent [s]."""
 QUIT_DELAY = 0.2
 """Between the answer to a request to quit and the end [s]."""
 SWITCH_INTERVAL = 0.001
@@ -130,6 +133,7 @@ class ClothSimNode(Node):
     def close(self) -> None:
         """Ends the simulation and a recording; the log is complete on return."""
         self._worker.close()
+        self._sending.close(LAST_DELIVERY)
         self.destroy_node()  # type: ignore[no-untyped-call]
 
     # -- declare -------------------------------------------------------------------------------------------------------
@@ -148,13 +152,16 @@ class ClothSimNode(Node):
 
     def _create_publishers(self) -> None:
         self._publishers_of: dict[Topic, Publisher] = {}
-        self._senders: dict[Topic, Publisher | PacedPublisher] = {}
+        self._paced: dict[Topic, PacedPublisher] = {}
+        self._sending = SendingThread(self._on_send_error)
+        departure = Departure(self)
         for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS, CLOCK):
             message_class = MESSAGE_CLASSES[topic.message_type]
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             publisher = self.create_publisher(message_class, name, qos_profile(topic.qos))
             self._publishers_of[topic] = publisher
-            self._senders[topic] = PacedPublisher(publisher) if topic.qos.latched else publisher
+            if topic.qos.latched:
+                self._paced[topic] = PacedPublisher(publisher, departure)
 
     def _create_subscriptions(self) -> None:
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
@@ -294,20 +301,24 @@ class ClothSimNode(Node):
     # -- listener of the worker, from any thread -----------------------------------------------------------------------
 
     def wants_frames(self) -> bool:
-        """Whether anybody subscribes to the garment."""
-        return self.context.ok() and self._publishers_of[GARMENT].get_subscription_count() > 0
+        """Whether anybody subscribes to the garment, and the frames before are on their way."""
+        subscribed = self.context.ok() and self._publishers_of[GARMENT].get_subscription_count() > 0
+        return subscribed and not self._sending.is_behind()
 
     def send(self, topic: Topic, data: bytes) -> None:
-        """Publishes CDR bytes as they are."""
-        sender = self._senders.get(topic)
-        if sender is None:
-            return
-        try:
-            sender.publish(data)
-        except Exception as error:
-            # The context may go down between two statements of this thread; then nobody waits for the message.
-            if self.context.ok():
-                self._log.error(f"{topic.name}: {error}")
+        """Publishes CDR bytes as they are; what is latched in its order, but later."""
+        if topic in self._paced:
+            self._sending.send(topic.name, self._paced[topic].publish, data)
+        elif topic in self._publishers_of:
+            try:
+                self._publishers_of[topic].publish(data)
+            except Exception as error:
+                self._on_send_error(topic.name, error)
+
+    def _on_send_error(self, name: str, error: Exception) -> None:
+        # The context may go down between two statements of any thread; then nobody waits for the message.
+        if self.context.ok():
+            self._log.error(f"{name}: {error}")
 
     def inform(self, line: str) -> None:
         """Logs; to standard error once the context is down, when there is no /rosout any more."""
