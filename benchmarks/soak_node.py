@@ -238,10 +238,12 @@ def frames(output: Path) -> dict[str, int]:
     for path in sorted((output / "records").glob("*.mcap")):
         with LogReader(path) as log:
             logged += [decode_marker(message.data).stamp for message in log.messages(GARMENT)]
+    missing = set(logged) - stamps
     return {
         "frames_received": len(received),
         "frames_logged": len(logged),
-        "frames_logged_and_not_received": len(set(logged) - stamps),
+        "frames_logged_and_not_received": sum(stamp < max(stamps) for stamp in missing),
+        "frames_logged_while_it_ended": sum(stamp > max(stamps) for stamp in missing),
         "torn_frames": sum(not row[2] for row in received),
         "frames_out_of_order": sum(b[0] < a[0] for a, b in pairwise(received)),
     }

@@ -2,6 +2,7 @@
 
 import gc
 import json
+import os
 import re
 import signal
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -22,6 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
@@ -57,14 +60,16 @@ SWITCH_INTERVAL = 0.001
 def main(args: list[str] | None = None) -> None:
     """Runs the node until SIGINT or SIGTERM, then ends its log."""
     _prepare()
-    # rclpy ends the context on both signals and calls these afterwards: nothing, so that no exception and no second
-    # signal cuts off the log while it is being ended.
-    signal.signal(signal.SIGINT, lambda *_: None)
-    signal.signal(signal.SIGTERM, lambda *_: None)
+    signals: list[int] = []
+    # rclpy ends the context on both signals and calls these afterwards: nothing but a note, so that no exception and
+    # no second signal cuts off the log while it is being ended.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: signals.append(number))
     # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
     sys.setswitchinterval(SWITCH_INTERVAL)
     configure_fast_dds()
-    rclpy.init(args=args)
+    # Not before there is something to end: most of rclpy raises where the context goes down while it is at work.
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = ClothSimNode()
     except (ClothError, ParameterException) as error:
@@ -75,10 +80,13 @@ def main(args: list[str] | None = None) -> None:
     gc.freeze()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    install_signal_handlers(SignalHandlerOptions.ALL)
     try:
-        executor.spin()
-    except ExternalShutdownException:
-        pass
+        if not signals:
+            executor.spin()
+    except (ExternalShutdownException, RCLError):
+        if node.context.ok():
+            raise
     finally:
         node.close()
         try_shutdown()
@@ -86,8 +94,9 @@ def main(args: list[str] | None = None) -> None:
 
 def _prepare() -> None:
     """Loads and compiles before anybody can see the node, and wait for its answers meanwhile."""
+    # There is nothing to end yet; what is raised here instead would be lost in some callbacks of the compiler.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: sys.exit())
+        signal.signal(number, lambda *_: os._exit(0))
     if not cache_directory("cloth_core.step").exists():
         print("cloth_sim_node: compiling, which takes about a minute at the first start", file=sys.stderr)
     warm_up()
