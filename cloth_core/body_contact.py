@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, overlapping_pairs
 from cloth_core.body import Body
-from cloth_core.closest_points import outside_box, point_triangle, segment_segment
+from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
+from cloth_core.closest_points import point_triangle
 from cloth_core.errors import SceneError
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
+from cloth_core.near_distances import point_triangle_distances, segment_distances
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
-from cloth_core.pair_list import doubled, doubled_lengths, write_pair
+from cloth_core.pair_list import doubled, write_pair
 
 __all__ = ["BodyContact", "VertexPlanes", "hold_vertices", "vertex_body_gaps"]
 
@@ -90,6 +92,8 @@ class BodyContact:
         self.offset = offset
         self.side_offset = _SIDE_OFFSET_SHARE * offset
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
+        self._boxes: tuple[Floats, Floats] | None = None
+        self._boxes_of: Body | None = None
 
     def candidates(
         self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float | Floats
@@ -114,86 +118,116 @@ class BodyContact:
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
             found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
-        radii = np.ascontiguousarray(np.broadcast_to(radius, len(x)), dtype=np.float64)
-        vertex_pairs, vertex_distance, rows, distance = _candidates(
-            x, triangles, cloth, self.body.vertices, self.body.triangles, self.body.representatives,
-            self._leaf_pairs[:found], self.offset, self.side_offset, radii,
+        body = self.body
+        body_x, own = body.vertices, body.representatives
+        margin = np.ascontiguousarray(np.broadcast_to(self.side_offset + radius, len(x)))
+        cloth_triangles, cloth_edges = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
+        reach = margin + (self.offset - self.side_offset)
+        vertices, corners, sides = _box_pairs(
+            x, reach, cloth, cloth_triangles, cloth_edges, body_x, own, *self._body_boxes(), self._leaf_pairs[:found]
+        )
+        distance = point_triangle_distances(x, body_x, body.triangles, vertices)
+        near = distance < reach[vertices[:, 0]]
+        planes = VertexPlanes.of(len(x), vertices[near], distance[near])
+        rows, distance = _near_pairs(
+            corners, point_triangle_distances(body_x, x, triangles, corners), triangles, cloth_triangles,
+            sides, segment_distances(x, cloth.edges, body_x, own.edges, sides), cloth.edges, cloth_edges, own.edges,
         )  # fmt: skip
-        planes = VertexPlanes.of(len(x), vertex_pairs, vertex_distance)
         return planes, rows, np.full(len(rows), self.side_offset), distance
+
+    def _body_boxes(self) -> tuple[Floats, Floats]:
+        """Boxes of the body's triangles and sides, (t, 8) and (e, 8), as long as it stays where it is."""
+        if self._boxes is None or self._boxes_of is not self.body:
+            x, none = self.body.vertices, np.zeros(len(self.body.vertices))
+            self._boxes = (
+                triangle_boxes(x, self.body.triangles, none),
+                edge_boxes(x, self.body.representatives.edges, none),
+            )
+            self._boxes_of = self.body
+        return self._boxes
 
 
 @kernel
-def _candidates(
+def _box_pairs(
     x: Floats,
-    triangles: Ints,
+    margin: Floats,
     cloth: Representatives,
+    cloth_triangles: Floats,
+    cloth_edges: Floats,
     body_x: Floats,
-    body_triangles: Ints,
     body: Representatives,
+    body_triangles: Floats,
+    body_edges: Floats,
     leaf_pairs: Ints,
-    vertex_offset: float,
-    side_offset: float,
-    radius: Floats,
-) -> tuple[Ints, Floats, Ints, Floats]:
-    """Vertex-triangle, edge-edge and triangle-vertex pairs within their offsets and the cloth's radii (n,) [m]."""
-    vertex_pairs = np.empty((4096, 2), dtype=np.int32)
-    vertex_distance = np.empty((4096, 1))
-    sides = np.empty((4096, 7), dtype=np.int32)
-    side_distance = np.empty((4096, 1))
-    vertex_count, side_count = 0, 0
+) -> tuple[Ints, Ints, Ints]:
+    """Whose boxes overlap in pairs of triangles (p, 2): each twice the index of what the cloth and the body have there.
+
+    Shapes: x (n, 3) and margin (n,) of the cloth's vertices [m]; boxes of the triangles and sides of both (any, 8).
+
+    Returns:
+        (cloth vertex, body triangle), (body vertex, cloth triangle) and (cloth side, body side), (any, 2) each.
+    """
+    vertices, corners, sides = _room_for_pairs(), _room_for_pairs(), _room_for_pairs()
+    vertex_count, corner_count, side_count = 0, 0, 0
     for pair in range(leaf_pairs.shape[0]):
         ct, bt = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
-        b0, b1, b2 = body_triangles[bt, 0], body_triangles[bt, 1], body_triangles[bt, 2]
-        c0, c1, c2 = triangles[ct, 0], triangles[ct, 1], triangles[ct, 2]
-        corner_reach = side_offset + max(radius[c0], max(radius[c1], radius[c2]))
-        if side_count + 12 > sides.shape[0]:
-            sides, side_distance = doubled(sides), doubled_lengths(side_distance)
-        if vertex_count + 3 > vertex_pairs.shape[0]:
-            vertex_pairs, vertex_distance = doubled(vertex_pairs), doubled_lengths(vertex_distance)
-        for k in range(3):
-            i = triangles[ct, k]
-            vertex_reach = vertex_offset + radius[i]
-            if cloth.owns_vertex[ct, k] and not outside_box(x[i], body_x[b0], body_x[b1], body_x[b2], vertex_reach):
-                squared = point_triangle(x[i], body_x[b0], body_x[b1], body_x[b2])[0]
-                if squared < vertex_reach * vertex_reach:
-                    vertex_pairs[vertex_count, 0] = i
-                    vertex_pairs[vertex_count, 1] = bt
-                    vertex_distance[vertex_count, 0] = np.sqrt(squared)
-                    vertex_count += 1
-            j = body_triangles[bt, k]
-            if body.owns_vertex[bt, k] and not outside_box(body_x[j], x[c0], x[c1], x[c2], corner_reach):
-                squared = point_triangle(body_x[j], x[c0], x[c1], x[c2])[0]
-                if squared < corner_reach * corner_reach:
-                    write_pair(sides, side_count, BODY_VERTEX, c0, c1, c2, -1, j, -1)
-                    side_distance[side_count, 0] = np.sqrt(squared)
-                    side_count += 1
-            if cloth.owns_edge[ct, k]:
-                p, q = triangles[ct, k], triangles[ct, (k + 1) % 3]
-                side_reach = side_offset + max(radius[p], radius[q])
-                for m in range(3):
-                    if not body.owns_edge[bt, m]:
-                        continue
-                    a, b = body_triangles[bt, m], body_triangles[bt, (m + 1) % 3]
-                    apart = False
-                    for axis in range(3):
-                        apart = apart or (
-                            min(x[p, axis], x[q, axis]) - side_reach > max(body_x[a, axis], body_x[b, axis])
-                            or min(body_x[a, axis], body_x[b, axis]) - side_reach > max(x[p, axis], x[q, axis])
-                        )
-                    if apart:
-                        continue
-                    squared = segment_segment(x[p], x[q], body_x[a], body_x[b])[0]
-                    if squared < side_reach * side_reach:
-                        write_pair(sides, side_count, BODY_SIDE, p, q, -1, -1, a, b)
-                        side_distance[side_count, 0] = np.sqrt(squared)
-                        side_count += 1
-    return (
-        vertex_pairs[:vertex_count].copy(),
-        vertex_distance[:vertex_count, 0].copy(),
-        sides[:side_count].copy(),
-        side_distance[:side_count, 0].copy(),
-    )
+        if vertex_count + 3 > vertices.shape[0]:
+            vertices = doubled(vertices)
+        if corner_count + 3 > corners.shape[0]:
+            corners = doubled(corners)
+        if side_count + 9 > sides.shape[0]:
+            sides = doubled(sides)
+        for k in range(cloth.own_vertices[ct, 0]):
+            i = cloth.own_vertices[ct, 1 + k]
+            vertices[vertex_count, 0], vertices[vertex_count, 1] = i, bt
+            vertex_count += in_box(x, i, margin[i], body_triangles, bt)
+        for k in range(body.own_vertices[bt, 0]):
+            j = body.own_vertices[bt, 1 + k]
+            corners[corner_count, 0], corners[corner_count, 1] = j, ct
+            corner_count += in_box(body_x, j, 0.0, cloth_triangles, ct)
+        for k in range(cloth.own_edges[ct, 0]):
+            i = cloth.own_edges[ct, 1 + k]
+            for m in range(body.own_edges[bt, 0]):
+                j = body.own_edges[bt, 1 + m]
+                sides[side_count, 0], sides[side_count, 1] = i, j
+                side_count += overlap(cloth_edges, i, body_edges, j)
+    return vertices[:vertex_count], corners[:corner_count], sides[:side_count]
+
+
+@kernel
+def _room_for_pairs() -> Ints:
+    return np.empty((4096, 2), dtype=np.int32)
+
+
+@kernel
+def _near_pairs(
+    corners: Ints,
+    corner_distance: Floats,
+    triangles: Ints,
+    cloth_triangles: Floats,
+    sides: Ints,
+    side_distance: Floats,
+    edges: Ints,
+    cloth_edges: Floats,
+    body_edges: Ints,
+) -> tuple[Ints, Floats]:
+    """Rows (s, 7) and distances (s,) [m] of those pairs of corners and sides that are within the margin of a box."""
+    rows = np.empty((corners.shape[0] + sides.shape[0], 7), dtype=np.int32)
+    distance = np.empty(rows.shape[0])
+    count = 0
+    for pair in range(corners.shape[0]):
+        j, t = corners[pair, 0], corners[pair, 1]
+        if corner_distance[pair] < cloth_triangles[t, 6]:
+            write_pair(rows, count, BODY_VERTEX, triangles[t, 0], triangles[t, 1], triangles[t, 2], -1, j, -1)
+            distance[count] = corner_distance[pair]
+            count += 1
+    for pair in range(sides.shape[0]):
+        i, j = sides[pair, 0], sides[pair, 1]
+        if side_distance[pair] < cloth_edges[i, 6]:
+            write_pair(rows, count, BODY_SIDE, edges[i, 0], edges[i, 1], -1, -1, body_edges[j, 0], body_edges[j, 1])
+            distance[count] = side_distance[pair]
+            count += 1
+    return rows[:count].copy(), distance[:count].copy()
 
 
 @kernel

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cloth_core.kernel import inlined_kernel, kernel
 
-__all__ = ["outside_box", "point_triangle", "segment_segment"]
+__all__ = ["point_triangle", "segment_segment"]
 
 Floats = NDArray[np.float64]
 
@@ -65,17 +65,6 @@ def _nearest_side(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, fl
     if s < squared:
         squared, u, v, w = s, ca, 0.0, 1.0 - ca
     return squared, u, v, w
-
-
-@inlined_kernel
-def outside_box(p: Floats, a: Floats, b: Floats, c: Floats, reach: float) -> bool:
-    """Whether p is farther than reach [m] from the box of a, b and c along some axis; all (3,)."""
-    outside = False
-    for axis in range(3):
-        low = min(a[axis], min(b[axis], c[axis]))
-        high = max(a[axis], max(b[axis], c[axis]))
-        outside = outside or p[axis] < low - reach or p[axis] > high + reach
-    return outside
 
 
 @kernel

@@ -6,7 +6,8 @@ one, so that all are used up at about the same time. It is repeated when a parti
 
 *Narrow phase* (more often): the distances of those candidates, and from them a bound on how far each particle may
 travel before the next narrow phase: less than its share of the distance to whatever it could hit, so that nothing can
-have crossed (the displacement bound of offset geometric contact, Chen et al. 2025).
+have crossed (the displacement bound of offset geometric contact, Chen et al. 2025). The few that use up their way
+before the others get a new one by themselves (`cloth_core.travel_renewal`).
 
 *Response* (each step): a contact holds its parts apart by removing the approaching velocity, with Coulomb friction
 bounded by the same impulse (Moreau's time stepping). There is no contact stiffness: the stable time step does not
@@ -29,7 +30,6 @@ from cloth_core.near_planes import NEAR, NearPlanes, add_plane, keep_on_own_side
 from cloth_core.pair_contacts import (
     BODY_SIDE,
     BODY_VERTEX,
-    CLOTH_SIDE,
     CLOTH_VERTEX,
     COUNTS_FROM,
     PairContacts,
@@ -38,29 +38,33 @@ from cloth_core.pair_contacts import (
     repeat_impulses,
 )
 from cloth_core.self_contact import SelfContact
+from cloth_core.travel_renewal import (
+    BODY_TRAVEL,
+    CLOTH_TRAVEL,
+    NO_TRAVEL,
+    SPENT,
+    Renewal,
+    enough_of_radius,
+    pairs_of_particles,
+    room_of_pair,
+    side_of_pair,
+)
 
-__all__ = ["SPENT", "Contact", "ContactSettings", "ContactState", "keep_within_travel", "resolve_contacts"]
+__all__ = [
+    "Contact",
+    "ContactSettings",
+    "ContactState",
+    "keep_within_travel",
+    "resolve_contacts",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Share of the distance between two parts that each may travel between two narrow phases; the body stands still.
-_BODY_TRAVEL = 0.9
-_CLOTH_TRAVEL = 0.45
-# A shorter way than this is none [m]: rounding must not decide on which side of a surface a particle ends up.
-_NO_TRAVEL = 1e-9
-# A new search is due when any particle has used this share of its way.
-SPENT = 0.65
 # How far particles may move between two broad phases [m]: the fastest one, if nobody says otherwise, and one that does
 # not move at all.
 _RADIUS = 0.006
 _LEAST_RADIUS = 0.002
-# What must be left of it for a narrow phase to make do with the candidates that there are: this share of what a
-# particle wants to go, so that the bound slows nothing down; but no less than this much [m] and no more than this share
-# of the largest radius.
-_ENOUGH_OF_REACH = 0.1
-_ENOUGH = 0.001
-_ENOUGH_OF_RADIUS = 0.5
 _NO_BODY = np.zeros((0, 3))
 
 
@@ -73,6 +77,7 @@ class ContactState(NamedTuple):
         planes: cloth vertices against body triangles.
         pairs: everything else.
         near: what bounds the direction of particles that nearly touch something.
+        renewal: what it takes to renew origin and travel of single particles.
     """
 
     origin: Floats
@@ -80,11 +85,12 @@ class ContactState(NamedTuple):
     planes: VertexPlanes
     pairs: PairContacts
     near: NearPlanes
+    renewal: Renewal
 
     @classmethod
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
-        return cls(np.zeros((0, 3)), np.zeros(0), _no_planes(0), PairContacts.none(), NearPlanes.none())
+        return cls(np.zeros((0, 3)), np.zeros(0), _no_planes(0), PairContacts.none(), NearPlanes.none(), Renewal.none())
 
 
 def _no_planes(particles: int) -> VertexPlanes:
@@ -139,6 +145,7 @@ class Contact:
         self._broad_body_x = self._searched_body_x = _NO_BODY
         self._planes = _no_planes(0)
         self._pairs = PairContacts.none()
+        self._renewal = Renewal.none()
 
     def search(self, x: Floats, reach: float | Floats) -> ContactState:
         """Find all pairs that can come into contact, and how far each particle may go until the next search.
@@ -147,28 +154,33 @@ class Contact:
             x: positions [m], shape (n, 3).
             reach: how far particles want to go [m], above 0, for all or for each, shape (n,); at most the radius is
                 granted.
+
+        Returns:
+            what was found; its renewal is not allowed until whoever runs the steps says how particles want to go.
         """
         wanted = np.ascontiguousarray(np.broadcast_to(reach, len(x)), dtype=np.float64)
-        due = len(self._broad_x) != len(x)
+        due, way_of_body = len(self._broad_x) != len(x), 0.0
         if not due:
-            due, moved, granted = _left_of_radius(
-                x, self._broad_x, self._radii, self._way_of_body(), wanted, self.radius
-            )
+            way_of_body = self._way_of_body()
+            due, moved, granted = _left_of_radius(x, self._broad_x, self._radii, way_of_body, wanted, self.radius)
         if due:
             # In proportion to how fast each moves, so that all are used up at about the same time.
             least = min(_LEAST_RADIUS, self.radius)
             self._radii = least + (self.radius - least) * (wanted / wanted.max())
             self._broad_phase(x)
+            way_of_body = 0.0
             moved, granted = np.zeros(len(x)), np.minimum(wanted, self._radii)
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
-        travel, near = _narrow_phase(x, self._planes, self._pairs, body_x, body_triangles, moved, granted)
+        travel, near = _narrow_phase(
+            x, self._planes, self._pairs, body_x, body_triangles, moved, granted, self._renewal.place
+        )
         self.narrow_phases += 1
         if body_x is not self._searched_body_x:
             self._planes.plane_count[:] = -1
             self._searched_body_x = body_x
-        planes = NearPlanes(near[:, 0].astype(np.int32), np.ascontiguousarray(near[:, 1:4]), near[:, 4].copy())
-        return ContactState(x.copy(), travel, self._planes, self._pairs, planes)
+        renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
+        return ContactState(x.copy(), travel, self._planes, self._pairs, NearPlanes.of(near), renewal)
 
     def _broad_phase(self, x: Floats) -> None:
         self.broad_phases += 1
@@ -191,6 +203,12 @@ class Contact:
         pairs.remember(self._pairs)
         self._pairs = pairs
         self._broad_x = x.copy()
+        start, entries = pairs_of_particles(pairs.particles, len(x))
+        place, waiting = np.empty(len(pairs.kind), dtype=np.int32), np.empty(len(x), dtype=np.int32)
+        self._renewal = Renewal.none()._replace(
+            broad_x=self._broad_x, radii=self._radii, radius=self.radius, start=start, entries=entries, place=place,
+            waiting=waiting, turn=np.zeros(1, dtype=np.int32), renewed=np.zeros(len(x), dtype=np.int32),
+        )  # fmt: skip
         if self.body is not None:
             self._broad_body_x = self.body.body.vertices
 
@@ -215,9 +233,8 @@ def _left_of_radius(
         dx, dy, dz = x[i, 0] - broad_x[i, 0], x[i, 1] - broad_x[i, 1], x[i, 2] - broad_x[i, 2]
         moved[i] = np.sqrt(dx * dx + dy * dy + dz * dz) + way_of_body
         left = radii[i] - moved[i]
-        enough = min(max(_ENOUGH_OF_REACH * wanted[i], _ENOUGH), _ENOUGH_OF_RADIUS * radius)
         granted[i] = min(wanted[i], left)
-        short += left < min(min(wanted[i], radius), enough)
+        short += not enough_of_radius(left, wanted[i], radius)
     return short > 0, moved, granted
 
 
@@ -230,8 +247,9 @@ def _narrow_phase(
     body_triangles: Ints,
     moved: Floats,
     reach: Floats,
+    place: Ints,
 ) -> tuple[Floats, Floats]:
-    """List the pairs that can come into contact within reach (n,) [m].
+    """List the pairs that can come into contact within reach (n,) [m]; place (s,) says where each is listed, or -1.
 
     moved (n,): way of each particle since the broad phase [m]. A pair that is farther apart than what both sides may
     travel does not bound anybody.
@@ -239,14 +257,14 @@ def _narrow_phase(
     Returns:
         how far each particle may go [m], (n,); particle, normal and room of the planes of what nearly touches, (k, 5).
     """
-    travel = reach / _BODY_TRAVEL
+    travel = reach / BODY_TRAVEL
     near = np.empty((16, 5))
     near_count = 0
     vertex_body_gaps(x, planes, body_x, body_triangles, moved, travel, travel)
     for i in range(travel.shape[0]):
         if travel[i] < NEAR:
             travel[i], near, near_count = _near_body(i, x, planes, body_x, body_triangles, reach[i], near, near_count)
-        travel[i] = min(_BODY_TRAVEL * travel[i], reach[i])
+        travel[i] = min(BODY_TRAVEL * travel[i], reach[i])
     closest = np.zeros(3)
     count = 0
     for s in range(pairs.kind.shape[0]):
@@ -269,30 +287,32 @@ def _narrow_phase(
         if distance >= needed:
             pairs.impulse[s] = 0.0
             pairs.friction[s] = 0.0
+            place[s] = -1
             continue
+        place[s] = count
         pairs.listed[count] = s
         pairs.listed_distance[count] = distance
         count += 1
         if distance < NEAR:
-            room = _room_of_pair(x, pairs, s, body_x, closest, distance)
+            room = room_of_pair(x, pairs, s, body_x, closest, distance)
             if room >= 0.0:
                 for k in range(4):
                     i = pairs.particles[s, k]
                     if i >= 0:
-                        sign = _side(kind, k) / distance
+                        sign = side_of_pair(kind, k) / distance
                         near = add_plane(
                             near, near_count, i, sign * closest[0], sign * closest[1], sign * closest[2], room
                         )
                         near_count += 1
                 continue
-        bound = (_BODY_TRAVEL if kind == BODY_SIDE or kind == BODY_VERTEX else _CLOTH_TRAVEL) * distance
+        bound = (BODY_TRAVEL if kind == BODY_SIDE or kind == BODY_VERTEX else CLOTH_TRAVEL) * distance
         for k in range(4):
             i = pairs.particles[s, k]
             if i >= 0:
                 travel[i] = min(travel[i], bound)
     pairs.listed_count[0] = count
     for i in range(travel.shape[0]):
-        if travel[i] < _NO_TRAVEL:
+        if travel[i] < NO_TRAVEL:
             travel[i] = 0.0
     return travel, near[:near_count]
 
@@ -309,7 +329,7 @@ def _near_body(
     count: int,
 ) -> tuple[float, Floats, int]:
     """Distance [m] of particle i from what is not near of the body, and planes of what is, appended to near."""
-    gap = farthest / _BODY_TRAVEL
+    gap = farthest / BODY_TRAVEL
     for entry in range(planes.start[i], planes.start[i + 1]):
         t = planes.body_triangle[entry]
         a, b, c = body_triangles[t, 0], body_triangles[t, 1], body_triangles[t, 2]
@@ -325,41 +345,6 @@ def _near_body(
         near = add_plane(near, count, i, nx, ny, nz, room)
         count += 1
     return gap, near, count
-
-
-@kernel
-def _side(kind: int, k: int) -> float:
-    """1 if particle k of a pair belongs to the first part, towards which its normal points, -1 if to the second."""
-    if kind == CLOTH_SIDE:
-        return 1.0 if k < 2 else -1.0
-    if kind == CLOTH_VERTEX:
-        return 1.0 if k < 1 else -1.0
-    return 1.0
-
-
-@kernel
-def _room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats, distance: float) -> float:
-    """How far each part of pair s may go towards the other [m], -1 if no plane can be put between them.
-
-    closest (3,): vector between the closest points [m], `distance` long.
-    """
-    if distance == 0.0:
-        return -1.0
-    first, second = np.inf, -np.inf
-    for k in range(4):
-        i = pairs.particles[s, k]
-        if i >= 0:
-            height = (x[i, 0] * closest[0] + x[i, 1] * closest[1] + x[i, 2] * closest[2]) / distance
-            if _side(pairs.kind[s], k) > 0.0:
-                first = min(first, height)
-            else:
-                second = max(second, height)
-    for k in range(2):
-        i = pairs.body[s, k]
-        if i >= 0:
-            height = (body_x[i, 0] * closest[0] + body_x[i, 1] * closest[1] + body_x[i, 2] * closest[2]) / distance
-            second = max(second, height)
-    return float(room_towards(first - second, distance))
 
 
 @kernel
@@ -399,7 +384,7 @@ def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats)
 def resolve_contacts(
     x: Floats, v: Floats, inverse_mass: Floats, state: ContactState, settings: ContactSettings, dt: float, moved: Floats
 ) -> bool:
-    """Hold everything apart after a step, in place; whether a new search is due.
+    """Hold everything apart after a step, in place; whether any particle has used most of its way.
 
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) [m^2] is written; dt [s].
     """

@@ -21,12 +21,15 @@ __all__ = [
     "fill",
     "fused",
     "inverse_root",
+    "larger",
     "last_lane",
     "last_lanes",
     "load",
+    "smaller",
     "store",
     "take_from",
     "together",
+    "where_positive",
 ]
 
 LANES = 8
@@ -72,6 +75,7 @@ def _binary(function: Callable[..., Any], emit: str) -> None:
 _binary(operator.add, "fadd")
 _binary(operator.sub, "fsub")
 _binary(operator.mul, "fmul")
+_binary(operator.truediv, "fdiv")
 
 
 def _call(builder: Any, name: str, *arguments: Any) -> Any:
@@ -201,6 +205,39 @@ def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _call(builder, "llvm.fma.v8f64", *arguments)
+
+    return lanes_type(lanes_type, lanes_type, lanes_type), emit
+
+
+@_intrinsic
+def smaller(typing: Any, a: Any, b: Any) -> Any:
+    """The smaller of each two numbers; b where one is not a number."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b = arguments
+        return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+    return lanes_type(lanes_type, lanes_type), emit
+
+
+@_intrinsic
+def larger(typing: Any, a: Any, b: Any) -> Any:
+    """The larger of each two numbers; b where one is not a number."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, b = arguments
+        return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+    return lanes_type(lanes_type, lanes_type), emit
+
+
+@_intrinsic
+def where_positive(typing: Any, condition: Any, a: Any, b: Any) -> Any:
+    """a in the lanes in which `condition` is above 0, b in the others."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        condition, a, b = arguments
+        return builder.select(builder.fcmp_ordered(">", condition, _constant(0.0)), a, b)
 
     return lanes_type(lanes_type, lanes_type, lanes_type), emit
 

@@ -20,13 +20,13 @@ class Representatives(NamedTuple):
     Attributes:
         edges: vertex indices of each side, shape (e, 2), lower index first, sorted.
         triangle_edges: side k of a triangle joins corners k and k + 1, shape (t, 3).
-        owns_vertex, owns_edge: shape (t, 3).
+        own_vertices, own_edges: how many a triangle owns, and which (-1 where there is none), shape (t, 4).
     """
 
     edges: Ints
     triangle_edges: Ints
-    owns_vertex: NDArray[np.bool_]
-    owns_edge: NDArray[np.bool_]
+    own_vertices: Ints
+    own_edges: Ints
 
 
 def unique_edges(triangles: Ints) -> tuple[Ints, Ints]:
@@ -42,11 +42,17 @@ def unique_edges(triangles: Ints) -> tuple[Ints, Ints]:
 def representatives(triangles: Ints) -> Representatives:
     """Give each vertex and side to the first triangle that has it; triangles (t, 3)."""
     edges, triangle_edges = unique_edges(triangles)
-    owns = []
-    for table in (triangles, triangle_edges):
-        flat = table.reshape(-1)
-        _, first = np.unique(flat, return_index=True)
-        mask = np.zeros(len(flat), dtype=bool)
-        mask[first] = True
-        owns.append(mask.reshape(-1, 3))
-    return Representatives(edges, triangle_edges, owns[0], owns[1])
+    return Representatives(edges, triangle_edges, _owned(triangles), _owned(triangle_edges))
+
+
+def _owned(table: Ints) -> Ints:
+    """What is named in each row of table (t, 3) and in none before it: how many, and which, (t, 4)."""
+    flat = table.reshape(-1)
+    first = np.zeros(len(flat), dtype=bool)
+    first[np.unique(flat, return_index=True)[1]] = True
+    mine = first.reshape(-1, 3)
+    # Those that are owned to the front, in their order.
+    order = np.argsort(~mine, axis=1, kind="stable")
+    count = mine.sum(axis=1)
+    entries = np.where(np.arange(3) < count[:, None], np.take_along_axis(table, order, axis=1), -1)
+    return np.ascontiguousarray(np.column_stack([count, entries]), dtype=np.int32)

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from cloth_core.kernel import kernel
 
-__all__ = ["NEAR", "NearPlanes", "add_plane", "keep_on_own_side", "room_towards"]
+__all__ = [
+    "NEAR",
+    "NearPlanes",
+    "add_plane",
+    "forget_planes",
+    "keep_on_own_side",
+    "put_plane",
+    "room_towards",
+]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -32,27 +40,47 @@ _TOO_NEAR = 1e-9
 _SHARE = 0.45
 # Room that a new search would not make more of [m].
 _NO_ROOM = 1e-6
+# Places for planes that are added later.
+_SPARE = 64
 # By how much a plane may be missed before the whole way of a particle is cut back [m].
 _SLACK = 1e-12
 
 
 class NearPlanes(NamedTuple):
-    """Planes of particles that nearly touch something, k of them; a particle may have several.
+    """Planes of particles that nearly touch something; a particle may have several. Rows beyond number[0] are spare.
 
     Attributes:
         particle: (k,).
         normal: unit vectors away from what is near, (k, 3).
         room: how far the particle may go against the normal from where it was at the search [m], (k,).
+        used: whether it has gone that far, although there was room, (k,).
+        number: of planes, (1,).
     """
 
     particle: Ints
     normal: Floats
     room: Floats
+    used: NDArray[np.bool_]
+    number: Ints
+
+    @classmethod
+    def of(cls, rows: Floats) -> NearPlanes:
+        """Planes from rows of particle, normal and room, (k, 5); there is place for as many again, and some more."""
+        count = len(rows)
+        table = np.zeros((2 * count + _SPARE, 5))
+        table[:count] = rows
+        return cls(
+            table[:, 0].astype(np.int32),
+            np.ascontiguousarray(table[:, 1:4]),
+            table[:, 4].copy(),
+            np.zeros(len(table), dtype=np.bool_),
+            np.array([count], dtype=np.int32),
+        )
 
     @classmethod
     def none(cls) -> NearPlanes:
         """No planes."""
-        return cls(np.zeros(0, dtype=np.int32), np.zeros((0, 3)), np.zeros(0))
+        return cls.of(np.zeros((0, 5)))
 
 
 @kernel
@@ -82,6 +110,35 @@ def add_plane(planes: Floats, count: int, i: int, nx: float, ny: float, nz: floa
 
 
 @kernel
+def put_plane(planes: NearPlanes, i: int, nx: float, ny: float, nz: float, room: float) -> bool:
+    """Add a plane of particle i with its normal and room [m]; False if there is no place for it."""
+    at = planes.number[0]
+    if at == planes.particle.shape[0]:
+        return False
+    planes.particle[at] = i
+    planes.normal[at, 0], planes.normal[at, 1], planes.normal[at, 2] = nx, ny, nz
+    planes.room[at] = room
+    planes.used[at] = False
+    planes.number[0] = at + 1
+    return True
+
+
+@kernel
+def forget_planes(planes: NearPlanes, i: int) -> None:
+    """Remove the planes of particle i."""
+    k = 0
+    while k < planes.number[0]:
+        if planes.particle[k] != i:
+            k += 1
+            continue
+        last = planes.number[0] - 1
+        planes.particle[k], planes.room[k], planes.used[k] = planes.particle[last], planes.room[last], planes.used[last]
+        for axis in range(3):
+            planes.normal[k, axis] = planes.normal[last, axis]
+        planes.number[0] = last
+
+
+@kernel
 def keep_on_own_side(x: Floats, v: Floats, origin: Floats, planes: NearPlanes) -> bool:
     """Stop particles at their planes, x and v (n, 3) in place; whether any has used up room that it had.
 
@@ -89,7 +146,7 @@ def keep_on_own_side(x: Floats, v: Floats, origin: Floats, planes: NearPlanes) -
     """
     spent = False
     for turn in range(2):
-        for k in range(planes.particle.shape[0]):
+        for k in range(planes.number[0]):
             i = planes.particle[k]
             nx, ny, nz = planes.normal[k, 0], planes.normal[k, 1], planes.normal[k, 2]
             dx, dy, dz = x[i, 0] - origin[i, 0], x[i, 1] - origin[i, 1], x[i, 2] - origin[i, 2]
@@ -105,7 +162,8 @@ def keep_on_own_side(x: Floats, v: Floats, origin: Floats, planes: NearPlanes) -
                     v[i, 0] += approach * nx
                     v[i, 1] += approach * ny
                     v[i, 2] += approach * nz
-                spent = spent or planes.room[k] > _NO_ROOM
+                if planes.room[k] > _NO_ROOM:
+                    planes.used[k] = spent = True
             elif turn == 1 and excess > _SLACK:
                 # Between several planes: back along its way, which keeps to all of them.
                 share = planes.room[k] / towards

@@ -1,4 +1,4 @@
-"""Lists of pairs that grow inside compiled code: kind, four cloth particles, two body vertices; and two lengths."""
+"""Lists of pairs that grow inside compiled code: kind, four cloth particles, two body vertices."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from cloth_core.kernel import kernel
 
-__all__ = ["doubled", "doubled_lengths", "write_pair"]
+__all__ = ["doubled", "write_pair"]
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
@@ -30,12 +29,4 @@ def doubled(rows: Ints) -> Ints:
     """Rows with twice the room."""
     longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=np.int32)
     longer[: rows.shape[0]] = rows
-    return longer
-
-
-@kernel
-def doubled_lengths(lengths: Floats) -> Floats:
-    """Lengths [m] with twice the room."""
-    longer = np.empty((2 * lengths.shape[0], lengths.shape[1]))
-    longer[: lengths.shape[0]] = lengths
     return longer

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
-from cloth_core.closest_points import outside_box, point_triangle, segment_segment
+from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import Representatives, representatives
+from cloth_core.near_distances import point_triangle_distances, segment_distances
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
-from cloth_core.pair_list import doubled, doubled_lengths, write_pair
+from cloth_core.pair_list import doubled, write_pair
 from cloth_core.seam_gaps import ClosingSeams, point_neighbours
 
 __all__ = ["SelfContact", "self_overlapping_pairs"]
@@ -187,11 +188,16 @@ class SelfContact:
         number, neighbours = self.identity, self._neighbours
         if self._closing is not None:
             number, neighbours = self._closing.number, self._closing.neighbours
-        radii = np.ascontiguousarray(np.broadcast_to(radius, len(x)), dtype=np.float64)
-        rows, lengths = _candidates(
-            x, self.triangles, self._representatives, number, *neighbours, self._room, pairs, self.offset, radii
-        )
-        return rows, lengths
+        triangles, own = self.triangles, self._representatives
+        # Of the offset each of the two has a half.
+        margin = np.ascontiguousarray(np.broadcast_to(0.5 * self.offset + radius, len(x)))
+        triangle_box, edge_box = triangle_boxes(x, triangles, margin), edge_boxes(x, own.edges, margin)
+        vertices, sides = _box_pairs(x, margin, triangles, own, triangle_box, edge_box, number, pairs)
+        return _near_pairs(
+            margin, triangles, triangle_box, own.edges, edge_box, number, *neighbours, self._room, self.offset,
+            vertices, point_triangle_distances(x, x, triangles, vertices),
+            sides, segment_distances(x, own.edges, x, own.edges, sides),
+        )  # fmt: skip
 
 
 @kernel
@@ -247,91 +253,107 @@ def _are_neighbours(start: Ints, neighbours: Ints, i: int, j: int) -> bool:
 
 
 @kernel
-def _candidates(
+def _box_pairs(
     x: Floats,
+    margin: Floats,
     triangles: Ints,
     cloth: Representatives,
-    identity: Ints,
+    triangle_box: Floats,
+    edge_box: Floats,
+    number: Ints,
+    leaf_pairs: Ints,
+) -> tuple[Ints, Ints]:
+    """Whose boxes overlap in pairs of triangles (p, 2), but for what has a point (by number (n,)) in common.
+
+    Shapes: x (n, 3), margin (n,) [m]; boxes of the triangles (m, 8) and sides (e, 8).
+
+    Returns:
+        (vertex, triangle) and (side, side), (any, 2) each.
+    """
+    vertices, sides = np.empty((4096, 2), dtype=np.int32), np.empty((4096, 2), dtype=np.int32)
+    vertex_count, side_count = 0, 0
+    for pair in range(leaf_pairs.shape[0]):
+        if vertex_count + 6 > vertices.shape[0]:
+            vertices = doubled(vertices)
+        if side_count + 9 > sides.shape[0]:
+            sides = doubled(sides)
+        for turn in range(2):
+            one, other = leaf_pairs[pair, turn], leaf_pairs[pair, 1 - turn]
+            for k in range(cloth.own_vertices[one, 0]):
+                i = cloth.own_vertices[one, 1 + k]
+                li = number[i]
+                shared = (
+                    (li == number[triangles[other, 0]])
+                    | (li == number[triangles[other, 1]])
+                    | (li == number[triangles[other, 2]])
+                )
+                vertices[vertex_count, 0], vertices[vertex_count, 1] = i, other
+                vertex_count += in_box(x, i, margin[i], triangle_box, other) & (not shared)
+        one, other = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
+        for k in range(cloth.own_edges[one, 0]):
+            i = cloth.own_edges[one, 1 + k]
+            lp, lq = number[cloth.edges[i, 0]], number[cloth.edges[i, 1]]
+            for m in range(cloth.own_edges[other, 0]):
+                j = cloth.own_edges[other, 1 + m]
+                la, lb = number[cloth.edges[j, 0]], number[cloth.edges[j, 1]]
+                shared = (lp == la) | (lp == lb) | (lq == la) | (lq == lb)
+                sides[side_count, 0], sides[side_count, 1] = i, j
+                side_count += overlap(edge_box, i, edge_box, j) & (not shared)
+    return vertices[:vertex_count], sides[:side_count]
+
+
+@kernel
+def _near_pairs(
+    margin: Floats,
+    triangles: Ints,
+    triangle_box: Floats,
+    edges: Ints,
+    edge_box: Floats,
+    number: Ints,
     start: Ints,
     neighbours: Ints,
     room: Floats,
-    leaf_pairs: Ints,
     offset: float,
-    radius: Floats,
+    vertices: Ints,
+    vertex_distance: Floats,
+    sides: Ints,
+    side_distance: Floats,
 ) -> tuple[Ints, Floats]:
-    """Vertex-triangle and edge-edge pairs within the offset and both sides' radii (n,) [m].
-
-    Returns:
-        rows (s, 7), and offset and distance (s, 2).
-    """
-    rows = np.empty((4096, 7), dtype=np.int32)
-    lengths = np.empty((4096, 2))
+    """Pairs within both sides' margins as rows (s, 7), and their offset and distance (s, 2) [m]."""
+    rows = np.empty((vertices.shape[0] + sides.shape[0], 7), dtype=np.int32)
+    lengths = np.empty((rows.shape[0], 2))
     count = 0
-    for pair in range(leaf_pairs.shape[0]):
-        if count + 15 > rows.shape[0]:
-            rows, lengths = doubled(rows), doubled_lengths(lengths)
-        for turn in range(2):
-            one, other = leaf_pairs[pair, turn], leaf_pairs[pair, 1 - turn]
-            a, b, c = triangles[other, 0], triangles[other, 1], triangles[other, 2]
-            la, lb, lc = identity[a], identity[b], identity[c]
-            beyond = offset + max(radius[a], max(radius[b], radius[c]))
-            for k in range(3):
-                if not cloth.owns_vertex[one, k]:
-                    continue
-                i = triangles[one, k]
-                li = identity[i]
-                reach = beyond + radius[i]
-                if li == la or li == lb or li == lc or outside_box(x[i], x[a], x[b], x[c], reach):
-                    continue
-                squared = point_triangle(x[i], x[a], x[b], x[c])[0]
-                if squared >= reach * reach:
-                    continue
-                apart = offset
-                if (
-                    _are_neighbours(start, neighbours, li, la)
-                    or _are_neighbours(start, neighbours, li, lb)
-                    or _are_neighbours(start, neighbours, li, lc)
-                ):
-                    apart = min(offset, min(room[i], min(room[a], min(room[b], room[c]))))
-                write_pair(rows, count, CLOTH_VERTEX, i, a, b, c, -1, -1)
-                lengths[count, 0] = apart
-                lengths[count, 1] = np.sqrt(squared)
-                count += 1
-        one, other = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
-        for k in range(3):
-            if not cloth.owns_edge[one, k]:
-                continue
-            p, q = triangles[one, k], triangles[one, (k + 1) % 3]
-            lp, lq = identity[p], identity[q]
-            for m in range(3):
-                if not cloth.owns_edge[other, m]:
-                    continue
-                a, b = triangles[other, m], triangles[other, (m + 1) % 3]
-                la, lb = identity[a], identity[b]
-                if lp == la or lp == lb or lq == la or lq == lb:
-                    continue
-                reach = offset + max(radius[p], radius[q]) + max(radius[a], radius[b])
-                apart_boxes = False
-                for axis in range(3):
-                    apart_boxes = apart_boxes or (
-                        min(x[p, axis], x[q, axis]) - reach > max(x[a, axis], x[b, axis])
-                        or min(x[a, axis], x[b, axis]) - reach > max(x[p, axis], x[q, axis])
-                    )
-                if apart_boxes:
-                    continue
-                squared = segment_segment(x[p], x[q], x[a], x[b])[0]
-                if squared >= reach * reach:
-                    continue
-                apart = offset
-                if (
-                    _are_neighbours(start, neighbours, lp, la)
-                    or _are_neighbours(start, neighbours, lp, lb)
-                    or _are_neighbours(start, neighbours, lq, la)
-                    or _are_neighbours(start, neighbours, lq, lb)
-                ):
-                    apart = min(offset, min(min(room[p], room[q]), min(room[a], room[b])))
-                write_pair(rows, count, CLOTH_SIDE, p, q, a, b, -1, -1)
-                lengths[count, 0] = apart
-                lengths[count, 1] = np.sqrt(squared)
-                count += 1
+    for pair in range(vertices.shape[0]):
+        i, t = vertices[pair, 0], vertices[pair, 1]
+        if vertex_distance[pair] >= margin[i] + triangle_box[t, 6]:
+            continue
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        li = number[i]
+        apart = offset
+        if (
+            _are_neighbours(start, neighbours, li, number[a])
+            or _are_neighbours(start, neighbours, li, number[b])
+            or _are_neighbours(start, neighbours, li, number[c])
+        ):
+            apart = min(offset, min(room[i], min(room[a], min(room[b], room[c]))))
+        write_pair(rows, count, CLOTH_VERTEX, i, a, b, c, -1, -1)
+        lengths[count, 0], lengths[count, 1] = apart, vertex_distance[pair]
+        count += 1
+    for pair in range(sides.shape[0]):
+        i, j = sides[pair, 0], sides[pair, 1]
+        if side_distance[pair] >= edge_box[i, 6] + edge_box[j, 6]:
+            continue
+        p, q, a, b = edges[i, 0], edges[i, 1], edges[j, 0], edges[j, 1]
+        lp, lq, la, lb = number[p], number[q], number[a], number[b]
+        apart = offset
+        if (
+            _are_neighbours(start, neighbours, lp, la)
+            or _are_neighbours(start, neighbours, lp, lb)
+            or _are_neighbours(start, neighbours, lq, la)
+            or _are_neighbours(start, neighbours, lq, lb)
+        ):
+            apart = min(offset, min(min(room[p], room[q]), min(room[a], room[b])))
+        write_pair(rows, count, CLOTH_SIDE, p, q, a, b, -1, -1)
+        lengths[count, 0], lengths[count, 1] = apart, side_distance[pair]
+        count += 1
     return rows[:count].copy(), lengths[:count].copy()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cloth_core.calming import Calming, limit_speed
 from cloth_core.coarse_start import Interpolation, interpolation_between, pushed_out_of_body
-from cloth_core.contact import SPENT, ContactSettings, ContactState
+from cloth_core.contact import ContactSettings, ContactState
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.implicit_matrix import build_matrix
@@ -30,6 +30,7 @@ from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
 from cloth_core.support import why_unsupported
 from cloth_core.switched_off import scene_without
+from cloth_core.travel_renewal import SPENT
 
 __all__ = ["Progress", "Simulation"]
 
@@ -48,7 +49,7 @@ _IMPLICIT_STEP_ON_BODY = 1.0 / 500.0
 # Simulated time between two checks of the stable time step [s].
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
-_STEPS_PER_SEARCH = 30
+_STEPS_PER_SEARCH = 30.0
 _LEAST_REACH = 0.001
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
@@ -519,11 +520,18 @@ class Simulation:
         reach = np.maximum(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
+        least_room = _LEAST_ROOM * self.scene.settings.cloth_offset
+        renewal = self._contacts.renewal._replace(
+            steps=_STEPS_PER_SEARCH, least_reach=_LEAST_REACH, least_room=least_room,
+            # What is held goes its own way, and the bounds of what a moving body comes near are those of that moment.
+            allowed=self._body_motion is None and not self.grasps,
+        )  # fmt: skip
+        self._contacts = self._contacts._replace(renewal=renewal)
         if self._body_motion is not None:
             self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
         # What may be left of a way when it counts as not yet spent is enough for one more step: nothing is stopped.
         room = (1.0 - SPENT) * self._contacts.travel
-        room = np.maximum(room, _LEAST_ROOM * self.scene.settings.cloth_offset)
+        room = np.maximum(room, least_room)
         self._flight_step = float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:

@@ -21,6 +21,7 @@ from cloth_core.runs import Runs
 from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
 from cloth_core.strain_limit import StrainLimit, hold_strain, repeat_strain_impulses, watch_strain
+from cloth_core.travel_renewal import renew_spent
 from cloth_core.trellis import trellis_forces
 from cloth_core.twist import twist_forces
 
@@ -183,7 +184,8 @@ def run_steps(
         spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
         hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if keep_within_travel(x, v, contacts, moved) or spent:
+        spent = keep_within_travel(x, v, contacts, moved) or spent
+        if spent and not renew_spent(x, v, contacts, contact.body_vertices, contact.body_triangles, moved, dt):
             return step + 1
     return count
 

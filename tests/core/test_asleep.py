@@ -61,8 +61,8 @@ def test_a_gripper_wakes_it():
     assert simulation.positions[corner, 2] == pytest.approx(x[corner, 2] + 0.05, abs=1e-6)
     # What is held stays awake; what is let go falls.
     simulation.release("hand")
-    simulation.advance(0.3)
-    assert simulation.positions[corner, 2] < x[corner, 2] + 0.03
+    simulation.advance(0.09)
+    assert simulation.positions[corner, 2] < x[corner, 2] + 0.045
 
 
 def test_a_body_that_moves_wakes_it():

@@ -261,5 +261,10 @@ def test_every_vertex_and_side_belongs_to_one_triangle_that_has_it(seed, count):
     for t, triangle in enumerate(triangles):
         for k in range(3):
             assert sorted(edges[table[t, k]]) == sorted((triangle[k], triangle[(k + 1) % 3]))
-    assert sorted(triangles[own.owns_vertex].tolist()) == sorted(set(triangles.ravel().tolist()))
-    assert sorted(own.triangle_edges[own.owns_edge].tolist()) == list(range(len(edges)))
+    for owned, table, there in (
+        (own.own_vertices, triangles, set(triangles.ravel().tolist())),
+        (own.own_edges, own.triangle_edges, set(range(len(edges)))),
+    ):
+        named = [row[1 : 1 + row[0]] for row in owned.tolist()]
+        assert all(set(mine) <= set(row) for mine, row in zip(named, table.tolist(), strict=True))
+        assert sorted(entry for mine in named for entry in mine) == sorted(there)

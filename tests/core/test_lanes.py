@@ -16,12 +16,15 @@ from cloth_core.lanes import (
     fill,
     fused,
     inverse_root,
+    larger,
     last_lane,
     last_lanes,
     load,
+    smaller,
     store,
     take_from,
     together,
+    where_positive,
 )
 from cloth_core.springs import spring_forces
 
@@ -53,6 +56,15 @@ def _shifted(a: Floats, b: Floats, out: Floats) -> None:
         out[16 + back] = last_lane(x, back)
 
 
+@kernel
+def _chosen(a: Floats, b: Floats, out: Floats) -> None:
+    x, y = load(a, 0), load(b, 0)
+    store(out, 0, smaller(x, y))
+    store(out, 8, larger(x, y))
+    store(out, 16, where_positive(x, x, y))
+    store(out, 24, x / y)
+
+
 def test_inverse_root_is_right_to_two_units_in_the_last_place_at_every_size() -> None:
     chance = np.random.default_rng(3)
     squared = 10.0 ** chance.uniform(-23.0, 6.0, 80_000)
@@ -80,6 +92,17 @@ def test_operations_are_those_of_single_numbers() -> None:
     assert (out[21:24] == a[5:]).all()
     assert (out[24:32] == a - np.concatenate([[0.0], b[:7]])).all()
     assert out[32] == -b[7]
+
+
+def test_choices_and_quotients_are_those_of_single_numbers() -> None:
+    a = np.array([1.0, -2.0, 0.0, -0.0, 3.0, 1e-300, np.nan, 5.0])
+    b = np.array([2.0, -3.0, 4.0, 1.0, 3.0, -1.0, 7.0, np.nan])
+    out = np.zeros(32)
+    _chosen(a, b, out)
+    np.testing.assert_array_equal(out[:8], np.where(a < b, a, b))
+    np.testing.assert_array_equal(out[8:16], np.where(a > b, a, b))
+    np.testing.assert_array_equal(out[16:24], np.where(a > 0.0, a, b))
+    np.testing.assert_array_equal(out[24:], a / b)
 
 
 def test_lanes_of_two_values_one_after_the_other() -> None:

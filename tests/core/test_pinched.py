@@ -15,15 +15,17 @@ from scipy.spatial.transform import Rotation
 
 from cloth_core.body import Body
 from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact, keep_within_travel
+from cloth_core.contact import Contact, ContactState, keep_within_travel
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.intersections import self_crossing_edges
 from cloth_core.near_planes import NEAR
+from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, CLOTH_SIDE, CLOTH_VERTEX, PairContacts
 from cloth_core.quality import Settings
 from cloth_core.scene import Scene
 from cloth_core.self_contact import SelfContact
 from cloth_core.simulation import Simulation
+from cloth_core.travel_renewal import renew_spent
 
 TWO = np.array([[0, 1, 2], [3, 4, 5]], dtype=np.int32)
 
@@ -76,25 +78,38 @@ def search_of(body: bool, x: np.ndarray) -> Contact:
     return Contact(TWO, None, SelfContact(TWO, np.arange(6), np.full(6, np.inf), 0.001), radius=0.006)
 
 
+def renewable(found: ContactState) -> ContactState:
+    wanted = found.renewal._replace(steps=30.0, least_reach=0.002, least_room=1e-4, allowed=True)
+    return found._replace(renewal=wanted)
+
+
+@pytest.mark.parametrize("renewed", [False, True], ids=["searched", "renewed"])
 @pytest.mark.parametrize("body", [False, True], ids=["cloth", "body"])
 @pytest.mark.parametrize("distance", [1e-3, 1e-5, 1.1e-6, 1e-7, 1e-8])
-def test_pressing_never_brings_two_triangles_through_each_other(distance, body):
+def test_pressing_never_brings_two_triangles_through_each_other(distance, body, renewed):
     rng = np.random.default_rng(1)
+    renewals = 0
     for _ in range(4):
         x, _ = nearly_touching(rng, distance)
         contact = search_of(body, x)
         movable = 3 if body else 6
         y, nearest = x[:movable].copy(), np.inf
         middle = x.reshape(2, 3, 3).mean(axis=1)
+        found = renewable(contact.search(y, 0.006))
         for _ in range(40):
-            found = contact.search(y, 0.006)
             towards = np.repeat(middle[::-1] - middle, 3, axis=0)[:movable]
             y += 0.05 * towards + 1e-3 * rng.normal(size=y.shape)
-            keep_within_travel(y, np.zeros_like(y), found, np.zeros(movable))
+            v, moved = np.zeros_like(y), np.zeros(movable)
+            keep_within_travel(y, v, found, moved)
+            if renewed and renew_spent(y, v, found, x[3:], np.array([[0, 1, 2]], dtype=np.int32), moved, 1e-4):
+                renewals += 1
+            else:
+                found = renewable(contact.search(y, 0.006))
             both = np.concatenate([y, x[movable:]])
             assert not cross(both)
             nearest = min(nearest, apart(both))
         assert nearest > 0.4 * min(distance, 1e-6)  # it gets no nearer than that, however often it is pressed
+    assert (renewals > 20) == renewed
 
 
 @pytest.mark.parametrize("body", [False, True], ids=["cloth", "body"])
@@ -134,8 +149,24 @@ def pressed(simulation: Simulation, seconds: float) -> Iterator[float]:
         assert len(self_crossing_edges(x, triangles)) == 0
         assert simulation.scene.body is not None
         assert crossings(x, triangles, simulation.scene.body) == 0
-        pairs = simulation._contacts.pairs
-        yield float(pairs.listed_distance[: pairs.listed_count[0]].min(initial=1.0))
+        yield nearest_of(x, simulation._contacts.pairs, simulation.scene.body)
+
+
+def nearest_of(x: np.ndarray, pairs: PairContacts, body: Body) -> float:
+    """Least distance of the pairs on the list, by textbook formulas."""
+    listed = pairs.listed[: pairs.listed_count[0]]
+    kind = pairs.kind[listed]
+    p, b = x[pairs.particles[listed]].transpose(1, 0, 2), body.vertices[pairs.body[listed]].transpose(1, 0, 2)
+    squared = np.select(
+        [kind == BODY_SIDE, kind == BODY_VERTEX, kind == CLOTH_VERTEX, kind == CLOTH_SIDE],
+        [
+            edge_edge_distance(p[0], p[1], b[0], b[1]),
+            point_triangle_distance(b[0], p[0], p[1], p[2]),
+            point_triangle_distance(*p),
+            edge_edge_distance(*p),
+        ],
+    )
+    return float(np.sqrt(squared.min(initial=1.0)))
 
 
 def test_three_layers_pressed_on_a_plate_by_ten_thousand_times_their_weight():
