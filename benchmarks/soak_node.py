@@ -3,6 +3,8 @@
 Patterns, bodies and grippers change at random every few seconds while three subscribers listen to the garment: one
 that keeps up, one that takes half a second for each frame, and one that is killed and started again.
 
+All use the transports of the node (`fastdds.xml`); with --default-dds, all but the node have those of Fast DDS.
+
 Written to soak.json and printed: memory of the node over time; time to answer service calls; frames that the log has
 and the good subscriber has not; frames that are torn. For what the machine itself adds: the answers of an rclpy node
 that does nothing at all, asked in turn with the one under load by a process that does nothing else; how late a process
@@ -44,7 +46,10 @@ def main() -> None:
     parser.add_argument("minutes", type=float, nargs="?", default=30.0)
     parser.add_argument("-o", "--output", type=Path, default=Path("soak"))
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--default-dds", action="store_true")
     parser.add_argument("--role", choices=list(ROLES), help=argparse.SUPPRESS)
+    from cloth_sim_ros.delivery import configure_fast_dds
+
     options = parser.parse_args()
     if options.role:
         ROLES[options.role](options.output)
@@ -56,6 +61,8 @@ def main() -> None:
         signal.signal(number, lambda number, _: sys.exit(128 + number))
     options.output.mkdir(parents=True, exist_ok=True)
     os.environ["ROS_LOG_DIR"] = str(options.output)
+    if not options.default_dds:
+        configure_fast_dds()
     result = soak(options.minutes, options.output, options.seed)
     (options.output / "soak.json").write_text(json.dumps(result, indent=1))
     print(json.dumps({key: value for key, value in result.items() if key != "memory_mb"}, indent=1))
@@ -193,13 +200,15 @@ def memory_trend(memory: list[tuple[float, float]]) -> dict[str, float]:
 def latencies(path: Path) -> dict[str, Any]:
     """Service answers, and what the machine itself added [ms]."""
     rows = [json.loads(line) for line in path.read_text().splitlines() if line.endswith("]")]
-    answers, asleep, control = np.array([[row[1], row[2], row[4]] for row in rows]).T * 1000.0
+    answers, asleep, control, asking, asking_control = np.array([[r[1], r[2], *r[4:]] for r in rows]).T * 1000.0
     building = np.array([row[3] == "building" for row in rows])
     result: dict[str, Any] = {"service_calls": len(answers), "unanswered": sum(row[1] > 5.0 for row in rows)}
     for name, values in (
         ("answer_ms", answers),
         ("answer_while_building_ms", answers[building]),
+        ("answer_less_time_to_ask_ms", answers - asking),
         ("answer_of_an_empty_node_ms", control),
+        ("answer_of_an_empty_node_less_time_to_ask_ms", control - asking_control),
         ("lateness_of_the_prober_ms", asleep),
     ):
         if len(values):
@@ -208,10 +217,11 @@ def latencies(path: Path) -> dict[str, Any]:
                 "99 %": round(float(np.percentile(values, 99.0)), 2),
                 "99.9 %": round(float(np.percentile(values, 99.9)), 2),
                 "largest": round(float(values.max()), 2),
+                "over 100": int((values > 100.0).sum()),
             }
     worst = sorted(rows, key=lambda row: -row[1])[:5]
-    result["worst [at s, answer ms, lateness ms, state]"] = [
-        [round(t, 1), round(1000 * a, 1), round(1000 * s, 1), state] for t, a, s, state, _ in worst
+    result["worst [at s, answer ms, of which to ask ms, lateness ms, state]"] = [
+        [round(row[0], 1), *(round(1000 * row[column], 1) for column in (1, 5, 2)), row[3]] for row in worst
     ]
     return result
 
@@ -228,10 +238,12 @@ def frames(output: Path) -> dict[str, int]:
     for path in sorted((output / "records").glob("*.mcap")):
         with LogReader(path) as log:
             logged += [decode_marker(message.data).stamp for message in log.messages(GARMENT)]
+    missing = set(logged) - stamps
     return {
         "frames_received": len(received),
         "frames_logged": len(logged),
-        "frames_logged_and_not_received": len(set(logged) - stamps),
+        "frames_logged_and_not_received": sum(stamp < max(stamps) for stamp in missing),
+        "frames_logged_while_it_ended": sum(stamp > max(stamps) for stamp in missing),
         "torn_frames": sum(not row[2] for row in received),
         "frames_out_of_order": sum(b[0] < a[0] for a, b in pairwise(received)),
     }
@@ -454,15 +466,16 @@ def probe(output: Path) -> None:
         for client in clients:
             client.wait_for_service()
 
-        def ask(client: Any) -> tuple[float, Any]:
-            """Time that the answer took [s], and the answer, or None."""
+        def ask(client: Any) -> tuple[float, float, Any]:
+            """Time that the answer took, of which this process itself to send the question [s]; answer, or None."""
             answered = threading.Event()
             asked = time.perf_counter()
             future = client.call_async(Trigger.Request())
+            asking = time.perf_counter() - asked
             future.add_done_callback(lambda _: answered.set())
             if not answered.wait(10.0):
                 client.remove_pending_request(future)
-            return time.perf_counter() - asked, future.result() if future.done() else None
+            return time.perf_counter() - asked, asking, future.result() if future.done() else None
 
         time.sleep(2.0)
         for client in clients:
@@ -472,10 +485,11 @@ def probe(output: Path) -> None:
             asleep = time.perf_counter()
             time.sleep(PROBE_INTERVAL)
             late = time.perf_counter() - asleep - PROBE_INTERVAL
-            answer, result = ask(clients[0])
+            answer, asking, result = ask(clients[0])
             state = "no answer" if result is None else json.loads(result.message)["state"]
             time.sleep(PROBE_INTERVAL)
-            row = [time.monotonic() - began, answer, late, state, ask(clients[1])[0]]
+            control, asking_control, _ = ask(clients[1])
+            row = [time.monotonic() - began, answer, late, state, control, asking, asking_control]
             file.write(json.dumps(row) + "\n")
 
 

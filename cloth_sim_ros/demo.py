@@ -30,6 +30,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from cloth_core.mesh_files import read_mesh, write_file
+from cloth_sim_ros.delivery import configure_fast_dds
 from cloth_sim_ros.rclpy_topics import qos_profile
 from cloth_sim_ros.render import render_log
 from cloth_sim_ros.topics import BODY, DIAGNOSTICS, PATTERN, REPORT
@@ -221,6 +222,7 @@ def main(output: Path, pattern: str, body: str, quality: str, timeout: float) ->
     domain = random.SystemRandom().randint(1, 101)
     os.environ["ROS_DOMAIN_ID"] = str(domain)
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    configure_fast_dds()
     # So that the node is stopped, too.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("demo: terminated"))
     output.mkdir(parents=True, exist_ok=True)

@@ -2,6 +2,7 @@
 
 import gc
 import json
+import os
 import re
 import signal
 import sys
@@ -13,6 +14,7 @@ from typing import Any
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -22,6 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions, install_signal_handlers
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
@@ -30,10 +33,11 @@ from cloth_core.errors import ClothError, PatternError, SceneError
 from cloth_core.grasp import Pose
 from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
-from cloth_sim_ros.delivery import PacedPublisher, configure_fast_dds
+from cloth_sim_ros.delivery import Departure, PacedPublisher, configure_fast_dds
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
+from cloth_sim_ros.sending_thread import SendingThread
 from cloth_sim_ros.simulation_services import SimulationServices, import_types
 from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
 from cloth_sim_ros.warm_up import warm_up
@@ -45,6 +49,8 @@ DIAGNOSTICS_PERIOD = 1.0
 """Wall-clock time between two diagnostics [s]."""
 POLL_PERIOD = 0.01
 """Between two looks at whether steps that were asked for are done [s]."""
+LAST_DELIVERY = 1.0
+"""How long the end waits until all has been sent [s]."""
 QUIT_DELAY = 0.2
 """Between the answer to a request to quit and the end [s]."""
 SWITCH_INTERVAL = 0.001
@@ -54,14 +60,16 @@ SWITCH_INTERVAL = 0.001
 def main(args: list[str] | None = None) -> None:
     """Runs the node until SIGINT or SIGTERM, then ends its log."""
     _prepare()
-    # rclpy ends the context on both signals and calls these afterwards: nothing, so that no exception and no second
-    # signal cuts off the log while it is being ended.
-    signal.signal(signal.SIGINT, lambda *_: None)
-    signal.signal(signal.SIGTERM, lambda *_: None)
+    signals: list[int] = []
+    # rclpy ends the context on both signals and calls these afterwards: nothing but a note, so that no exception and
+    # no second signal cuts off the log while it is being ended.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: signals.append(number))
     # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
     sys.setswitchinterval(SWITCH_INTERVAL)
     configure_fast_dds()
-    rclpy.init(args=args)
+    # Not before there is something to end: most of rclpy raises where the context goes down while it is at work.
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = ClothSimNode()
     except (ClothError, ParameterException) as error:
@@ -72,10 +80,13 @@ def main(args: list[str] | None = None) -> None:
     gc.freeze()
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    install_signal_handlers(SignalHandlerOptions.ALL)
     try:
-        executor.spin()
-    except ExternalShutdownException:
-        pass
+        if not signals:
+            executor.spin()
+    except (ExternalShutdownException, RCLError):
+        if node.context.ok():
+            raise
     finally:
         node.close()
         try_shutdown()
@@ -83,8 +94,9 @@ def main(args: list[str] | None = None) -> None:
 
 def _prepare() -> None:
     """Loads and compiles before anybody can see the node, and wait for its answers meanwhile."""
+    # There is nothing to end yet; what is raised here instead would be lost in some callbacks of the compiler.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: sys.exit())
+        signal.signal(number, lambda *_: os._exit(0))
     if not cache_directory("cloth_core.step").exists():
         print("cloth_sim_node: compiling, which takes about a minute at the first start", file=sys.stderr)
     warm_up()
@@ -130,6 +142,7 @@ class ClothSimNode(Node):
     def close(self) -> None:
         """Ends the simulation and a recording; the log is complete on return."""
         self._worker.close()
+        self._sending.close(LAST_DELIVERY)
         self.destroy_node()  # type: ignore[no-untyped-call]
 
     # -- declare -------------------------------------------------------------------------------------------------------
@@ -148,13 +161,16 @@ class ClothSimNode(Node):
 
     def _create_publishers(self) -> None:
         self._publishers_of: dict[Topic, Publisher] = {}
-        self._senders: dict[Topic, Publisher | PacedPublisher] = {}
+        self._paced: dict[Topic, PacedPublisher] = {}
+        self._sending = SendingThread(self._on_send_error)
+        departure = Departure(self)
         for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS, CLOCK):
             message_class = MESSAGE_CLASSES[topic.message_type]
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             publisher = self.create_publisher(message_class, name, qos_profile(topic.qos))
             self._publishers_of[topic] = publisher
-            self._senders[topic] = PacedPublisher(publisher) if topic.qos.latched else publisher
+            if topic.qos.latched:
+                self._paced[topic] = PacedPublisher(publisher, departure)
 
     def _create_subscriptions(self) -> None:
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
@@ -294,20 +310,24 @@ class ClothSimNode(Node):
     # -- listener of the worker, from any thread -----------------------------------------------------------------------
 
     def wants_frames(self) -> bool:
-        """Whether anybody subscribes to the garment."""
-        return self.context.ok() and self._publishers_of[GARMENT].get_subscription_count() > 0
+        """Whether anybody subscribes to the garment, and the frames before are on their way."""
+        subscribed = self.context.ok() and self._publishers_of[GARMENT].get_subscription_count() > 0
+        return subscribed and not self._sending.is_behind()
 
     def send(self, topic: Topic, data: bytes) -> None:
-        """Publishes CDR bytes as they are."""
-        sender = self._senders.get(topic)
-        if sender is None:
-            return
-        try:
-            sender.publish(data)
-        except Exception as error:
-            # The context may go down between two statements of this thread; then nobody waits for the message.
-            if self.context.ok():
-                self._log.error(f"{topic.name}: {error}")
+        """Publishes CDR bytes as they are; what is latched in its order, but later."""
+        if topic in self._paced:
+            self._sending.send(topic.name, self._paced[topic].publish, data)
+        elif topic in self._publishers_of:
+            try:
+                self._publishers_of[topic].publish(data)
+            except Exception as error:
+                self._on_send_error(topic.name, error)
+
+    def _on_send_error(self, name: str, error: Exception) -> None:
+        # The context may go down between two statements of any thread; then nobody waits for the message.
+        if self.context.ok():
+            self._log.error(f"{name}: {error}")
 
     def inform(self, line: str) -> None:
         """Logs; to standard error once the context is down, when there is no /rosout any more."""

@@ -12,6 +12,7 @@ from rclpy.publisher import Publisher
 from rclpy.utilities import ok, try_shutdown
 
 from cloth_core.errors import ClothError
+from cloth_sim_ros.delivery import configure_fast_dds
 from cloth_sim_ros.log_reader import LogReader
 from cloth_sim_ros.log_writer import LogError
 from cloth_sim_ros.messages import NANOSECONDS
@@ -52,6 +53,7 @@ def play_log(
         first = [message for message in log.messages() if message.message_type in MESSAGE_CLASSES]
         if not first:
             raise LogError(f"log {log.path}: it holds no message of the simulator; record a run")
+        configure_fast_dds()
         rclpy.init()
         node = Node("cloth_sim_play")
         try:

@@ -4,6 +4,7 @@ Several side by side: give each a ``namespace``. To put the scene somewhere into
 to which it belongs, and where it is in that: ``parent_frame:=base_link x:=0.8 yaw:=1.57``.
 """
 
+import os
 from pathlib import Path
 
 from launch import LaunchDescription
@@ -11,6 +12,8 @@ from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
 from launch_ros.actions import Node
+
+from cloth_sim_ros.delivery import configure_fast_dds
 
 # Beside this file in the source tree, in share/ and in site-packages alike.
 PACKAGE = Path(__file__).parent.parent
@@ -20,6 +23,10 @@ POSE = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
 
 def generate_launch_description() -> LaunchDescription:
     """The node, its arguments, and rviz2 with a view that shows body and garment."""
+    environment = dict(os.environ)
+    configure_fast_dds(environment)
+    # With the transports of the node, who joins it holds up nobody for long.
+    transports = {name: value for name, value in environment.items() if name not in os.environ}
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of the node"),
@@ -55,6 +62,7 @@ def generate_launch_description() -> LaunchDescription:
                 executable="rviz2",
                 namespace=LaunchConfiguration("namespace"),
                 arguments=["-d", LaunchConfiguration("rviz_config")],
+                additional_env=transports,
                 condition=IfCondition(LaunchConfiguration("rviz")),
             ),
             Node(
@@ -66,6 +74,7 @@ def generate_launch_description() -> LaunchDescription:
                     *("--frame-id", LaunchConfiguration("parent_frame")),
                     *("--child-frame-id", LaunchConfiguration("frame_id")),
                 ],
+                additional_env=transports,
                 condition=IfCondition(NotEqualsSubstitution(LaunchConfiguration("parent_frame"), "")),
             ),
         ]

@@ -3,6 +3,9 @@
 import json
 import re
 import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -189,6 +192,26 @@ def test_a_signal_ends_the_node_and_its_log(start_node, client, number):
     with LogReader(path) as log:
         assert log.count(GARMENT) > 3
         assert log.patterns() == [handkerchief(0.3)]
+
+
+LOADED = "from cloth_sim_ros.node import main; print('loaded', flush=True); main()"
+
+
+def test_a_signal_at_any_time_of_the_start_ends_the_node_without_a_word(tmp_path):
+    """While it warms up, makes its context, appears on the graph, and begins to serve."""
+    for delay, number in ((0.07, signal.SIGINT), (1.0, signal.SIGTERM), (1.9, signal.SIGINT), (2.2, signal.SIGTERM)):
+        node = subprocess.Popen(
+            [sys.executable, "-c", LOADED], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+        )
+        try:
+            assert node.stdout.readline() == "loaded\n"
+            time.sleep(delay)
+            node.send_signal(number)
+            _, errors = node.communicate(timeout=60)
+        finally:
+            node.kill()
+            node.wait()
+        assert (node.returncode, errors) == (0, ""), delay
 
 
 def test_parameters(start_node, client):

@@ -66,6 +66,8 @@ def test_launch_file_starts_the_node_with_files_that_exist(monkeypatch):
         for found in classes:
             setattr(module, found, type(found, (Recorded,), {}))
         monkeypatch.setitem(sys.modules, name, module)
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"):
+        monkeypatch.delenv(name, raising=False)
     description = runpy.run_path(str(PACKAGE / "launch" / "cloth_sim.launch.py"))["generate_launch_description"]()
     actions = description.arguments[0]
     declared = {action.arguments[0]: action.options for action in actions if "default_value" in action.options}
@@ -73,6 +75,7 @@ def test_launch_file_starts_the_node_with_files_that_exist(monkeypatch):
     assert Path(declared["rviz_config"]["default_value"]).is_file()
     simulator, viewer, transform = (action.options for action in actions if "executable" in action.options)
     assert (simulator["package"], simulator["executable"]) == ("cloth_sim_ros", "cloth_sim_node")
+    assert Path(viewer["additional_env"]["FASTRTPS_DEFAULT_PROFILES_FILE"]) == PACKAGE / "dds" / "fastdds.xml"
     assert viewer["condition"].arguments[0].arguments == ("rviz",)
     assert transform["arguments"][::2] == ["--x", "--y", "--z", "--yaw", "--frame-id", "--child-frame-id"]
     assert transform["condition"].arguments[0].arguments[0].arguments == ("parent_frame",)
