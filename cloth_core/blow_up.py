@@ -66,6 +66,12 @@ class _FixedStep(Simulation):
     def _refuse_to_go_on(self) -> None:
         """A trial that blew up is followed by the next one, from the start again."""
 
+    def _search_contacts(self) -> None:
+        super()._search_contacts()
+        # Particles that are stopped at the end of their way again and again hold back what blows up as well.
+        renewal = self._contacts.renewal._replace(allowed=False)
+        self._contacts = self._contacts._replace(renewal=renewal)
+
     def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
         super()._refresh_time_step(estimate and self.fixed_step is None, tolerance)
         if self.fixed_step is not None:
