@@ -301,7 +301,8 @@ def _find_active(
         approach = vx * pairs.normal[s, 0] + vy * pairs.normal[s, 1] + vz * pairs.normal[s, 2]
         before, pairs.gap[s] = pairs.gap[s], distance - pairs.offset[s] - dt * approach
         # Of the way out that it was to take it has taken less than a half: something else holds it there.
-        if before < 0.0 and pairs.gap[s] < before * (1.0 - 0.5 * dt / (PUSH_TIME + pairs.stuck[s])):
+        left = before * (1.0 - 0.5 * dt / (PUSH_TIME + pairs.stuck[s]))
+        if before < 0.0 and pairs.gap[s] < min(left, (1.0 - COUNTS_FROM) * pairs.offset[s]):
             pairs.stuck[s] = min(pairs.stuck[s] + _TIRES * dt, _TIRED)
         else:
             pairs.stuck[s] = max(pairs.stuck[s] - dt, 0.0)

@@ -80,3 +80,45 @@ def test_impulses_are_those_of_sweeping_over_the_contacts_one_by_one(seed: int, 
     np.testing.assert_allclose(v, start_v, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(x, start_x, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(state.pairs.impulse, impulse, rtol=1e-9, atol=1e-18)
+
+
+def tip_above_a_face(height: float) -> tuple[Floats, Floats, PairContacts]:
+    """A triangle that stands on its tip, `height` above one that is held: places, inverse masses, contacts."""
+    x = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0], [0, 0, 0], [-0.5, 0, 1], [0.5, 0, 1]]) * SPACING
+    x[3:, 2] += height
+    triangles = np.array([[0, 1, 2], [3, 4, 5]], dtype=np.int32)
+    cloth = SelfContact(triangles, np.arange(6), np.full(6, SPACING), OFFSET)
+    state = Contact(triangles, None, cloth, radius=0.004).search(x, 0.002)
+    inverse_mass = np.array([0.0, 0.0, 0.0, 1e5, 1e5, 1e5])
+    return x, inverse_mass, state.pairs
+
+
+def hold(x: Floats, inverse_mass: Floats, pairs: PairContacts) -> None:
+    hold_pairs(x, np.zeros_like(x), inverse_mass, pairs, NOTHING, NOTHING, 0.0, PUSH_SPEED, DT, np.full(6, 1e-4))
+
+
+def test_what_is_too_near_and_free_comes_out_exponentially() -> None:
+    x, inverse_mass, pairs = tip_above_a_face(0.4 * OFFSET)
+    for _ in range(200):
+        hold(x, inverse_mass, pairs)
+    # Explicit steps of the decay, all of the way taken by the tip.
+    assert OFFSET - x[3, 2] == pytest.approx(0.6 * OFFSET * (1.0 - DT / PUSH_TIME) ** 200, rel=1e-6)
+    assert (pairs.stuck == 0.0).all()
+
+
+def test_what_is_too_near_and_gets_nowhere_pushes_less_and_less_and_recovers() -> None:
+    x, inverse_mass, pairs = tip_above_a_face(0.4 * OFFSET)
+    start, ways = x.copy(), []
+    for _ in range(2000):
+        hold(x, inverse_mass, pairs)
+        ways.append(x[3, 2] - start[3, 2])
+        x[:] = start  # something else holds it where it was
+    assert ways[0] == pytest.approx(0.6 * OFFSET * DT / PUSH_TIME, rel=1e-6)
+    assert (np.diff(ways[1:]) <= 0.0).all()
+    # 0.2 s, each of which counts four times.
+    assert ways[-1] == pytest.approx(0.6 * OFFSET * DT / (PUSH_TIME + 4.0 * 2000 * DT), rel=1e-2)
+    # Let go, it is as quick as ever after a while.
+    for _ in range(60_000):
+        hold(x, inverse_mass, pairs)
+    assert x[3, 2] == pytest.approx(OFFSET, abs=1e-3 * OFFSET)
+    assert pairs.stuck.max() == 0.0
