@@ -59,7 +59,10 @@ def reset(client):
     assert client.call("reset").success
     # A run starts later than all that has been sent.
     client.wait(lambda: (said := client.describe())["stamp"] > before and said["progress"]["simulated_time"] == 0.0)
-    return client.wait_for_state("paused")
+    said = client.wait_for_state("paused")
+    # Frames go out in a thread of their own.
+    client.wait(lambda: decode_marker(client.received["garment"][-1]).stamp == client.describe()["stamp"])
+    return said
 
 
 def step(client):
