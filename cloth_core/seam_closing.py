@@ -112,9 +112,12 @@ class SeamClosing:
             self.positions, crossings = _placed(scene, x, near, present)
             if crossings > present:
                 self.positions, crossings = _nudged(scene, self.positions, near, present)
-            if crossings > present and not late:
-                self._next_look = time + _WAIT
-                return None
+            if crossings > present:
+                if not late:
+                    self._next_look = time + _WAIT
+                    return None
+                # Open seams can be mended, cloth that has passed through cloth cannot.
+                near, self.positions = [np.zeros_like(points) for points in near], x
         # What was near enough but would have crossed is held where it is; what a limb holds apart is not: it would pull
         # the cloth about for ever.
         self._held = [close & ~merges for close, merges in zip(within, near, strict=True)]

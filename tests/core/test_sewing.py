@@ -257,6 +257,20 @@ def test_late_merge_leaves_open_what_would_cross():
     assert closing.open_seams == {seam.name: pytest.approx(0.006)}
 
 
+def test_where_every_merge_would_cross_all_stays_open(monkeypatch):
+    # No choice of points and no nudge helps: crossings never rise, also when the time for sewing is over.
+    monkeypatch.setattr("cloth_core.seam_closing._placed", lambda scene, x, which, present: (x, present + 1))
+    monkeypatch.setattr("cloth_core.seam_closing._nudged", lambda scene, x, which, present: (x, present + 1))
+    simulation = Simulation(scene_of(tube()))
+    x = simulation.positions
+    closing = SeamClosing()
+    model = closing.merged(simulation.scene, simulation.model, x, 100.0, 100.0)
+    assert model is not None
+    np.testing.assert_array_equal(closing.positions, x)
+    assert len(np.unique(model.number)) == simulation.scene.garment.particle_count
+    assert set(closing.open_seams) == {seam.name for seam in simulation.scene.garment.seams}
+
+
 def test_points_that_had_to_stay_two_hold_on_to_each_other_and_merge_when_the_way_is_free():
     scene = ribbon_between()
     garment = scene.garment
