@@ -26,15 +26,23 @@ from cloth_core.body_contact import BodyContact, VertexPlanes, hold_vertices, ve
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
-from cloth_core.near_planes import NEAR, NearPlanes, add_plane, keep_on_own_side, room_towards
+from cloth_core.near_planes import (
+    NEAR,
+    NearPlanes,
+    add_plane,
+    keep_on_own_side,
+    room_of_pair,
+    room_towards,
+    side_of_pair,
+)
 from cloth_core.pair_contacts import (
     BODY_SIDE,
     BODY_VERTEX,
-    CLOTH_VERTEX,
     COUNTS_FROM,
     PairContacts,
     hold_pairs,
     measure_pair,
+    nearer_by,
     repeat_impulses,
 )
 from cloth_core.self_contact import SelfContact
@@ -46,8 +54,6 @@ from cloth_core.travel_renewal import (
     Renewal,
     enough_of_radius,
     pairs_of_particles,
-    room_of_pair,
-    side_of_pair,
 )
 
 __all__ = [
@@ -269,17 +275,7 @@ def _narrow_phase(
     count = 0
     for s in range(pairs.kind.shape[0]):
         kind = pairs.kind[s]
-        p, q, a, b = pairs.particles[s, 0], pairs.particles[s, 1], pairs.particles[s, 2], pairs.particles[s, 3]
-        if kind == BODY_SIDE:
-            way, span = max(moved[p], moved[q]), max(reach[p], reach[q])
-        elif kind == BODY_VERTEX:
-            way, span = max(moved[p], max(moved[q], moved[a])), max(reach[p], max(reach[q], reach[a]))
-        elif kind == CLOTH_VERTEX:
-            way = moved[p] + max(moved[q], max(moved[a], moved[b]))
-            span = reach[p] + max(reach[q], max(reach[a], reach[b]))
-        else:
-            way = max(moved[p], moved[q]) + max(moved[a], moved[b])
-            span = max(reach[p], reach[q]) + max(reach[a], reach[b])
+        way, span = nearer_by(pairs.kind, pairs.particles, s, moved), nearer_by(pairs.kind, pairs.particles, s, reach)
         needed = COUNTS_FROM * pairs.offset[s] + span
         distance = pairs.distance[s] - way
         if distance < needed:

@@ -209,26 +209,26 @@ def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
     return lanes_type(lanes_type, lanes_type, lanes_type), emit
 
 
-@_intrinsic
-def smaller(typing: Any, a: Any, b: Any) -> Any:
-    """The smaller of each two numbers; b where one is not a number."""
+def _choice(comparison: str) -> Any:
+    """Emits a where it compares so with b, else b."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         a, b = arguments
-        return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+        return builder.select(builder.fcmp_ordered(comparison, a, b), a, b)
 
-    return lanes_type(lanes_type, lanes_type), emit
+    return emit
+
+
+@_intrinsic
+def smaller(typing: Any, a: Any, b: Any) -> Any:
+    """The smaller of each two numbers; b where one is not a number."""
+    return lanes_type(lanes_type, lanes_type), _choice("<")
 
 
 @_intrinsic
 def larger(typing: Any, a: Any, b: Any) -> Any:
     """The larger of each two numbers; b where one is not a number."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        a, b = arguments
-        return builder.select(builder.fcmp_ordered(">", a, b), a, b)
-
-    return lanes_type(lanes_type, lanes_type), emit
+    return lanes_type(lanes_type, lanes_type), _choice(">")
 
 
 @_intrinsic

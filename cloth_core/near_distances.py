@@ -41,11 +41,10 @@ def segment_distances(x: Floats, edges: Ints, y: Floats, others: Ints, pairs: In
             row = min(block + lane, count - 1)  # the last block repeats the last pair
             i, j = pairs[row, 0], pairs[row, 1]
             p, q, a, b = edges[i, 0], edges[i, 1], others[j, 0], others[j, 1]
-            for axis in range(3):
-                ends[axis * LANES + lane] = x[p, axis]
-                ends[(3 + axis) * LANES + lane] = x[q, axis]
-                ends[(6 + axis) * LANES + lane] = y[a, axis]
-                ends[(9 + axis) * LANES + lane] = y[b, axis]
+            _put(ends, 0, lane, x, p)
+            _put(ends, 1, lane, x, q)
+            _put(ends, 2, lane, y, a)
+            _put(ends, 3, lane, y, b)
         store(squared, 0, _segments(ends))
         for lane in range(min(LANES, count - block)):
             distance[block + lane] = np.sqrt(squared[lane])
@@ -67,15 +66,21 @@ def point_triangle_distances(points: Floats, vertices: Floats, triangles: Ints, 
             row = min(block + lane, count - 1)
             p, j = pairs[row, 0], pairs[row, 1]
             a, b, c = triangles[j, 0], triangles[j, 1], triangles[j, 2]
-            for axis in range(3):
-                ends[axis * LANES + lane] = points[p, axis]
-                ends[(3 + axis) * LANES + lane] = vertices[a, axis]
-                ends[(6 + axis) * LANES + lane] = vertices[b, axis]
-                ends[(9 + axis) * LANES + lane] = vertices[c, axis]
+            _put(ends, 0, lane, points, p)
+            _put(ends, 1, lane, vertices, a)
+            _put(ends, 2, lane, vertices, b)
+            _put(ends, 3, lane, vertices, c)
         store(squared, 0, _points_and_triangles(ends))
         for lane in range(min(LANES, count - block)):
             distance[block + lane] = np.sqrt(squared[lane])
     return distance
+
+
+@inlined_kernel
+def _put(ends: Floats, which: int, lane: int, points: Floats, i: int) -> None:
+    """Write point i of points (n, 3) to a lane, as number `which` (0 to 3) of the four points of its pair."""
+    for axis in range(3):
+        ends[(3 * which + axis) * LANES + lane] = points[i, axis]
 
 
 @inlined_kernel

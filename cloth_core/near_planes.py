@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.kernel import kernel
+from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX, PairContacts
 
 __all__ = [
     "NEAR",
@@ -23,7 +24,9 @@ __all__ = [
     "forget_planes",
     "keep_on_own_side",
     "put_plane",
+    "room_of_pair",
     "room_towards",
+    "side_of_pair",
 ]
 
 Floats = NDArray[np.float64]
@@ -171,3 +174,38 @@ def keep_on_own_side(x: Floats, v: Floats, origin: Floats, planes: NearPlanes) -
                 x[i, 1] = origin[i, 1] + share * dy
                 x[i, 2] = origin[i, 2] + share * dz
     return spent
+
+
+@kernel
+def side_of_pair(kind: int, k: int) -> float:
+    """1 if particle k of a pair belongs to the first part, towards which its normal points, -1 if to the second."""
+    if kind == CLOTH_SIDE:
+        return 1.0 if k < 2 else -1.0
+    if kind == CLOTH_VERTEX:
+        return 1.0 if k < 1 else -1.0
+    return 1.0
+
+
+@kernel
+def room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats, distance: float) -> float:
+    """How far each part of pair s may go towards the other [m], -1 if no plane can be put between them.
+
+    closest (3,): vector between the closest points [m], `distance` long.
+    """
+    if distance == 0.0:
+        return -1.0
+    first, second = np.inf, -np.inf
+    for k in range(4):
+        i = pairs.particles[s, k]
+        if i >= 0:
+            height = (x[i, 0] * closest[0] + x[i, 1] * closest[1] + x[i, 2] * closest[2]) / distance
+            if side_of_pair(pairs.kind[s], k) > 0.0:
+                first = min(first, height)
+            else:
+                second = max(second, height)
+    for k in range(2):
+        i = pairs.body[s, k]
+        if i >= 0:
+            height = (body_x[i, 0] * closest[0] + body_x[i, 1] * closest[1] + body_x[i, 2] * closest[2]) / distance
+            second = max(second, height)
+    return float(room_towards(first - second, distance))

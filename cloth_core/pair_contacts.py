@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.closest_points import point_triangle, segment_segment
-from cloth_core.kernel import kernel
+from cloth_core.kernel import inlined_kernel, kernel
 
 __all__ = [
     "BODY_SIDE",
@@ -28,6 +28,7 @@ __all__ = [
     "PairContacts",
     "hold_pairs",
     "measure_pair",
+    "nearer_by",
     "repeat_impulses",
 ]
 
@@ -326,6 +327,22 @@ def _way(pairs: PairContacts, s: int, moved: Floats) -> float:
     if kind == CLOTH_VERTEX:
         return float(np.sqrt(moved[p]) + np.sqrt(max(moved[q], max(moved[a], moved[b]))))
     return float(np.sqrt(max(moved[p], moved[q])) + np.sqrt(max(moved[a], moved[b])))
+
+
+@inlined_kernel
+def nearer_by(kinds: Ints, particles: Ints, s: int, length: Floats) -> float:
+    """How much nearer the parts of pair s come at most when each particle moves by its length (n,) [m]."""
+    kind = kinds[s]
+    p, q, a, b = particles[s, 0], particles[s, 1], particles[s, 2], particles[s, 3]
+    if kind == BODY_SIDE:
+        most = max(length[p], length[q])
+    elif kind == BODY_VERTEX:
+        most = max(length[p], max(length[q], length[a]))
+    elif kind == CLOTH_VERTEX:
+        most = length[p] + max(length[q], max(length[a], length[b]))
+    else:
+        most = max(length[p], length[q]) + max(length[a], length[b])
+    return float(most)
 
 
 @kernel

@@ -18,16 +18,8 @@ from numpy.typing import NDArray
 
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import inlined_kernel, kernel
-from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_towards
-from cloth_core.pair_contacts import (
-    BODY_SIDE,
-    BODY_VERTEX,
-    CLOTH_SIDE,
-    CLOTH_VERTEX,
-    COUNTS_FROM,
-    PairContacts,
-    measure_pair,
-)
+from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
+from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
 
 if TYPE_CHECKING:
     from cloth_core.contact import ContactState
@@ -41,8 +33,6 @@ __all__ = [
     "enough_of_radius",
     "pairs_of_particles",
     "renew_spent",
-    "room_of_pair",
-    "side_of_pair",
 ]
 
 Floats = NDArray[np.float64]
@@ -233,8 +223,8 @@ def _renew(
     closest = np.zeros(3)
     for entry in range(renewal.start[p], renewal.start[p + 1]):
         s = renewal.entries[entry]
-        needed = COUNTS_FROM * pairs.offset[s] + _of_pair(pairs.kind, pairs.particles, s, state.travel)
-        distance = pairs.distance[s] - _of_pair(pairs.kind, pairs.particles, s, renewal.way)
+        needed = COUNTS_FROM * pairs.offset[s] + nearer_by(pairs.kind, pairs.particles, s, state.travel)
+        distance = pairs.distance[s] - nearer_by(pairs.kind, pairs.particles, s, renewal.way)
         if distance < needed:
             distance = np.sqrt(measure_pair(state.origin, pairs, s, body_x, closest))
         if distance < needed and renewal.place[s] < 0:
@@ -306,54 +296,3 @@ def _waits(q: int, waiting: Ints, at: int, count: int) -> bool:
         if waiting[k] == q:
             return True
     return False
-
-
-@inlined_kernel
-def _of_pair(kinds: Ints, particles: Ints, s: int, length: Floats) -> float:
-    """How much nearer the parts of pair s come at most when each particle moves by its length (n,) [m]."""
-    kind = kinds[s]
-    p, q, a, b = particles[s, 0], particles[s, 1], particles[s, 2], particles[s, 3]
-    if kind == BODY_SIDE:
-        most = max(length[p], length[q])
-    elif kind == BODY_VERTEX:
-        most = max(length[p], max(length[q], length[a]))
-    elif kind == CLOTH_VERTEX:
-        most = length[p] + max(length[q], max(length[a], length[b]))
-    else:
-        most = max(length[p], length[q]) + max(length[a], length[b])
-    return float(most)
-
-
-@kernel
-def side_of_pair(kind: int, k: int) -> float:
-    """1 if particle k of a pair belongs to the first part, towards which its normal points, -1 if to the second."""
-    if kind == CLOTH_SIDE:
-        return 1.0 if k < 2 else -1.0
-    if kind == CLOTH_VERTEX:
-        return 1.0 if k < 1 else -1.0
-    return 1.0
-
-
-@kernel
-def room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats, distance: float) -> float:
-    """How far each part of pair s may go towards the other [m], -1 if no plane can be put between them.
-
-    closest (3,): vector between the closest points [m], `distance` long.
-    """
-    if distance == 0.0:
-        return -1.0
-    first, second = np.inf, -np.inf
-    for k in range(4):
-        i = pairs.particles[s, k]
-        if i >= 0:
-            height = (x[i, 0] * closest[0] + x[i, 1] * closest[1] + x[i, 2] * closest[2]) / distance
-            if side_of_pair(pairs.kind[s], k) > 0.0:
-                first = min(first, height)
-            else:
-                second = max(second, height)
-    for k in range(2):
-        i = pairs.body[s, k]
-        if i >= 0:
-            height = (body_x[i, 0] * closest[0] + body_x[i, 1] * closest[1] + body_x[i, 2] * closest[2]) / distance
-            second = max(second, height)
-    return float(room_towards(first - second, distance))
