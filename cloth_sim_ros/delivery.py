@@ -5,14 +5,17 @@ import time
 from collections.abc import Callable, MutableMapping
 from importlib import resources
 from pathlib import Path
+from typing import Protocol
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Empty
 
-__all__ = ["Departure", "PacedPublisher", "configure_fast_dds"]
+from cloth_sim_ros.unlocked_publisher import UnlockedPublisher
+
+__all__ = ["Departure", "Outgoing", "PacedPublisher", "configure_fast_dds"]
 
 PATIENCE = 0.1
 """How long a message waits until all subscribers have the one before [s]."""
@@ -32,16 +35,15 @@ class Departure:
     each is followed by an empty message to the node itself, which comes through when all before it have been sent.
 
     Args:
-        node: gets a publisher and a subscription on a topic that `ros2 topic list` hides
+        node: gets a publisher and a subscription
+        topic: one that `ros2 topic list` hides
     """
 
-    TOPIC = "~/_sent"
-
-    def __init__(self, node: Node) -> None:
-        self._publisher = node.create_publisher(Empty, self.TOPIC, QoSProfile(depth=1))
+    def __init__(self, node: Node, topic: str = "~/_sent") -> None:
+        self._publisher = UnlockedPublisher(node.create_publisher(Empty, topic, QoSProfile(depth=1)))
         # Whether its messages are ever taken does not matter.
-        node.create_subscription(Empty, self.TOPIC, lambda _: None, QoSProfile(depth=1))
-        self._message = Empty()
+        node.create_subscription(Empty, topic, lambda _: None, QoSProfile(depth=1))
+        self._message = serialize_message(Empty())
 
     def mark(self) -> None:
         """Says that something has been handed over."""
@@ -49,7 +51,17 @@ class Departure:
 
     def is_over(self) -> bool:
         """Whether all has been sent that was handed over before the last mark."""
-        return bool(self._publisher.wait_for_all_acked(Duration()))
+        return self._publisher.wait_for_all_acked(Duration())
+
+
+class Outgoing(Protocol):
+    """What sends: `UnlockedPublisher`, or that of rclpy."""
+
+    def publish(self, data: bytes) -> None:
+        """Hands CDR bytes to DDS."""
+
+    def wait_for_all_acked(self, timeout: Duration) -> bool:
+        """Whether all subscribers have acknowledged all that was published."""
 
 
 class PacedPublisher:
@@ -64,14 +76,13 @@ class PacedPublisher:
         departure: of the same node
     """
 
-    def __init__(self, publisher: Publisher, departure: Departure) -> None:
+    def __init__(self, publisher: Outgoing, departure: Departure) -> None:
         self._publisher = publisher
         self._departure = departure
         self._in_time = True
 
     def publish(self, data: bytes) -> None:
         """Publishes CDR bytes as they are; waits, at worst for seconds."""
-        # Each look is one of no duration: with one it would wait with Python's lock held, and no service would answer.
         _wait(self._departure.is_over, DEPARTURE_PATIENCE)
         self._in_time = _wait(
             lambda: self._publisher.wait_for_all_acked(Duration()), PATIENCE if self._in_time else IMPATIENCE

@@ -21,6 +21,8 @@ SHARED_FILES = (
     "config/cloth_sim.yaml",
     "rviz/cloth_sim.rviz",
     "dds/fastdds.xml",
+    "dds/fastdds_node.xml",
+    "dds/fastdds_node_localhost.xml",
     "foxglove/cloth_sim.json",
 )
 PACKAGE_DATA = (
