@@ -133,7 +133,7 @@ def test_services_answer_while_a_killed_subscriber_holds_up_the_frames(tmp_path)
             subscriber.kill()
             subscriber.wait()
             # Times at which frames and answers came in, until there are frames again after a gap.
-            events = []
+            events = [(time.monotonic(), True)]
             deadline = time.monotonic() + PATIENCE
             while time.monotonic() < deadline:
                 before = len(frames)
