@@ -6,9 +6,9 @@ lock meanwhile. A participant that only knows UDP never waits for another proces
 not take out of the socket in time, which large messages pay for; so those have a participant of their own.
 """
 
+import ctypes
 import os
-from collections.abc import Iterator, MutableMapping
-from contextlib import contextmanager
+from collections.abc import MutableMapping
 from importlib import resources
 from pathlib import Path
 
@@ -20,10 +20,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from cloth_sim_ros.delivery import configure_fast_dds
 
-__all__ = ["FrameParticipant", "configure_node", "without_shared_memory"]
+__all__ = ["FrameParticipant", "configure_node"]
 
 _PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-_TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+_NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
@@ -42,19 +42,6 @@ def configure_node(environment: MutableMapping[str, str] = os.environ) -> None:
         environment.pop("ROS_LOCALHOST_ONLY", None)
 
 
-@contextmanager
-def without_shared_memory(environment: MutableMapping[str, str] = os.environ) -> Iterator[None]:
-    """The participant that is made within has no shared memory, if `configure_node` has set the profile."""
-    if environment.get(_TRANSPORTS) or "fastdds_node" not in environment.get(_PROFILES, ""):
-        yield
-        return
-    environment[_TRANSPORTS] = "UDPv4"
-    try:
-        yield
-    finally:
-        del environment[_TRANSPORTS]
-
-
 class FrameParticipant:
     """Where a node publishes what is large: a hidden node, `_<name>_frames`, in a context of its own.
 
@@ -63,6 +50,9 @@ class FrameParticipant:
     """
 
     def __init__(self, owner: Node) -> None:
+        profiles = os.environ.get(_PROFILES, "")
+        if profiles in (_profile("fastdds_node"), _profile("fastdds_node_localhost")):
+            _load_default_profile(_with_shared_memory(Path(profiles)))
         self._context = Context()
         rclpy.init(
             context=self._context,
@@ -83,6 +73,43 @@ class FrameParticipant:
         """Takes it off the graph; may be called once."""
         self.node.destroy_node()  # type: ignore[no-untyped-call]
         self._context.try_shutdown()
+
+
+def _with_shared_memory(path: Path) -> bytes:
+    """The participant of a file of profiles, with the file's other transport before its own."""
+    text = path.read_text(encoding="utf-8")
+    # Transports are loaded already, and known by their names.
+    participant = text[text.index("<participant ") : text.index("</participant>") + len("</participant>")]
+    for old, new in (
+        ("cloth_sim_node", "cloth_sim_frames"),
+        ("<userTransports>", "<userTransports><transport_id>shared_memory</transport_id>"),
+    ):
+        assert participant.count(old) == 1
+        participant = participant.replace(old, new)
+    return f'<profiles xmlns="{_NAMESPACE}">{participant}</profiles>'.encode()
+
+
+def _load_default_profile(text: bytes) -> None:
+    """Has participants that are made from now on follow another default profile.
+
+    Fast DDS reads the file of the environment once in a process. The calls are of its public interface; the middleware
+    layer has none for it. Where they are not to be found, as with another middleware, all participants do as the first.
+    """
+    factory = "_ZN8eprosima7fastdds3dds24DomainParticipantFactory"
+    try:
+        fast_dds = ctypes.CDLL("libfastrtps.so.2.14", mode=os.RTLD_NOLOAD | os.RTLD_LAZY)
+        get_instance = fast_dds[f"{factory}12get_instanceEv"]
+        load_string = fast_dds[f"{factory}24load_XML_profiles_stringEPKcm"]
+        set_default = fast_dds[f"{factory}27set_default_participant_qosERKNS1_20DomainParticipantQosE"]
+        from_profile = ctypes.byref(
+            ctypes.c_byte.in_dll(fast_dds, "_ZN8eprosima7fastdds3dds23PARTICIPANT_QOS_DEFAULTE")
+        )
+    except (OSError, AttributeError, ValueError):
+        return
+    get_instance.restype = ctypes.c_void_p
+    instance = ctypes.c_void_p(get_instance())
+    load_string(instance, ctypes.c_char_p(text), ctypes.c_size_t(len(text)))
+    set_default(instance, from_profile)
 
 
 def _profile(name: str) -> str:

@@ -34,7 +34,7 @@ from cloth_core.grasp import Pose
 from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
 from cloth_sim_ros.delivery import Departure, PacedPublisher
-from cloth_sim_ros.frame_participant import FrameParticipant, configure_node, without_shared_memory
+from cloth_sim_ros.frame_participant import FrameParticipant, configure_node
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
@@ -124,8 +124,7 @@ class ClothSimNode(Node):
     """Serves one simulated garment under the name `cloth_sim`."""
 
     def __init__(self) -> None:
-        with without_shared_memory():
-            super().__init__("cloth_sim")
+        super().__init__("cloth_sim")
         self._log = self.get_logger()  # type: ignore[no-untyped-call]
         values = self._declare_parameters()
         self._values = values

@@ -10,6 +10,7 @@ from typing import Any
 from cloth_core.errors import ClothError
 from cloth_core.report import Report
 from cloth_core.scene import Scene
+from cloth_sim_ros.free_memory import give_back_free_memory
 from cloth_sim_ros.scene_inputs import Limits, ReceivedBody, SceneInputs, SceneParameters, build_scene
 from cloth_sim_ros.scheduled_simulation import ScheduledSimulation
 
@@ -119,6 +120,7 @@ class SceneBuilder:
                 self._busy = self._busy_with_garment = False
             for line in refusals:
                 self._refused(line)
+            give_back_free_memory()
 
     def _accept(self, changes: list[tuple[str, Change]]) -> list[str]:
         """Takes all changes together, so that a pattern and a body that arrive together cost one scene; if that fails,

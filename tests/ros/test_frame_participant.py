@@ -23,7 +23,7 @@ from small_scenes import handkerchief
 from std_msgs.msg import String
 
 from cloth_sim_ros.delivery import configure_fast_dds
-from cloth_sim_ros.frame_participant import configure_node, without_shared_memory
+from cloth_sim_ros.frame_participant import configure_node
 from cloth_sim_ros.messages import decode_string, encode_string
 from cloth_sim_ros.unlocked_publisher import UnlockedPublisher
 
@@ -78,18 +78,7 @@ def test_what_a_user_has_set_stays(name):
     mine = {name: "mine", RANGE: "LOCALHOST", "RMW_FASTRTPS_PUBLICATION_MODE": "AUTO"}
     given = dict(mine)
     configure_node(given)
-    with without_shared_memory(given):
-        assert given == mine
     assert given == mine
-
-
-def test_only_what_is_made_within_is_without_shared_memory():
-    environment: dict[str, str] = {}
-    configure_node(environment)
-    before = dict(environment)
-    with without_shared_memory(environment):
-        assert environment == before | {TRANSPORTS: "UDPv4"}
-    assert environment == before
 
 
 @contextmanager
