@@ -214,8 +214,8 @@ def main() -> None:
          "`test_only_what_is_needed.py::test_self_contact_...`",
          "`test_switched_off.py::test_self_contact_that_is_off_changes_no_bit_...`, `..._has_no_arrays`"),
         ("smooth cloth",
-         "deformation gradients of overlapping windows: no two of their points are nearer than 0.3 of their distance in "
-         "the panel (`smooth_windows.py`)", smooth_cloth(),
+         "deformation gradients in overlapping windows: no two of their points are nearer than 0.3 of their distance "
+         "in the panel (`smooth_windows.py`)", smooth_cloth(),
          "`test_smooth_windows.py::test_what_folds_is_noticed_and_searched_again`, `..._sheet_that_is_folded_over_...`",
          "`test_smooth_windows.py::test_sheet_that_swings_without_folding_...`"),
         ("air", "k_a = 0", air(), "`test_only_what_is_needed.py::test_drag_of_a_run_to_rest_...`",

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
-from cloth_core.body_contact import BodyContact, VertexPlanes, hold_vertices, vertex_body_gaps
+from cloth_core.body_contact import BodyContact, VertexPlanes, arm, hold_vertices, vertex_body_gaps
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
@@ -201,8 +201,9 @@ class Contact:
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
         travel, near = _narrow_phase(
-            x, self._planes, self._pairs, body_x, body_triangles, moved, granted, self._renewal.place
-        )
+            x, self._planes, self._pairs, body_x, body_triangles, moved, granted, self._renewal.place,
+            self.body.offset if self.body is not None else 0.0,
+        )  # fmt: skip
         self.narrow_phases += 1
         if body_x is not self._searched_body_x:
             self._planes.plane_count[:] = -1
@@ -279,20 +280,25 @@ def _narrow_phase(
     moved: Floats,
     reach: Floats,
     place: Ints,
+    offset: float,
 ) -> tuple[Floats, Floats]:
     """List the pairs that can come into contact within reach (n,) [m]; place (s,) says where each is listed, or -1.
 
-    moved (n,): way of each particle since the broad phase [m]. A pair that is farther apart than what both sides may
-    travel does not bound anybody.
+    Particles that can come as near to the body as offset [m] are armed. moved (n,): way of each particle since the
+    broad phase [m]. A pair that is farther apart than what both sides may travel does not bound anybody.
 
     Returns:
         how far each particle may go [m], (n,); particle, normal and room of the planes of what nearly touches, (k, 5).
     """
-    travel = reach / BODY_TRAVEL
+    travel = np.maximum(reach / BODY_TRAVEL, reach + 1.1 * offset)
     near = np.empty((16, 5))
     near_count = 0
     vertex_body_gaps(x, planes, body_x, body_triangles, moved, travel, travel)
+    planes.is_armed[:] = False
+    planes.armed_count[0] = 0
     for i in range(travel.shape[0]):
+        if travel[i] - min(BODY_TRAVEL * travel[i], reach[i]) < COUNTS_FROM * offset:
+            arm(planes, i)
         if travel[i] < NEAR:
             travel[i], near, near_count = _near_body(i, x, planes, body_x, body_triangles, reach[i], near, near_count)
         travel[i] = min(BODY_TRAVEL * travel[i], reach[i])
