@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cloth_core.blocked_lines import BlockedLines
 from cloth_core.body import Body
 from cloth_core.grasp import Pose
 from cloth_core.mesh_files import write_mesh
@@ -34,6 +35,8 @@ def warm_up() -> None:
     sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
     triangles = np.array([t for a, b, c, d in sides for t in ([a, b, c], [a, c, d])], dtype=np.int32)
     body = Body.from_arrays(corners, triangles, "box")
+    # Only garments that start around limbs ask for it.
+    BlockedLines(body, 1).count(corners, np.array([[0, 1]], dtype=np.int32))
     simulation = ScheduledSimulation(Scene.build(pattern, body, settings=Settings(spacing=_SPACING)))
     simulation.describe()
     simulation.tick()
