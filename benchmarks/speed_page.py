@@ -43,7 +43,8 @@ s; on the sphere 8.5 and 6.5, where it crumples at the impact.
 
 Tried and not kept, since it gained nothing: more inertia for the light points at the rims of panels while seams close
 (the time step grows by 1.6, and the searches by as much); larger or smaller search radii; softer springs in scene B,
-where they may stretch by 5 % (steps become longer, searches more).
+where they may stretch by 5 % (steps become longer, searches more), and at the beginning of a fine mesh that starts from
+a coarser drape (it comes to rest twice).
 
 What remains between this and the C program: forces are added to both ends of a spring through memory (the program
 computes each spring twice instead and adds in registers), the rim is a list, and bending takes three passes over
