@@ -1,7 +1,7 @@
 """Takes single sides of cloth out of each other by moving a few points by a few millimetres.
 
 What merges moves by half of its gap, and where cloth lies close beside it something may cross then that did not before.
-The search is greedy and local: it is meant for the last few crossings of a seam, not for cloth that is entangled.
+The search is greedy and local: it is meant for the last crossings of a seam, not for cloth that is entangled.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Ways that are tried [m], the shortest first, in each of 26 directions: to all neighbours in a lattice.
-_WAYS = (0.0005, 0.001, 0.002, 0.004)
+_WAYS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.012)
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 # More crossings than this are left alone.
-_MOST = 16
+_MOST = 40
 
 
 def nudged_apart(x: Floats, triangles: Ints, body: Body | None, allowed: int) -> tuple[Floats, int]:
-    """Positions in which at most `allowed` sides cross cloth or body, if moving single points by up to 4 mm does it.
+    """Positions in which at most `allowed` sides cross cloth or body, if moving single points by up to 12 mm does it.
 
     Args:
         x: positions [m], (n, 3).
