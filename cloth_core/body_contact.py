@@ -18,7 +18,7 @@ from cloth_core.near_distances import point_triangle_distances, segment_distance
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
 from cloth_core.pair_list import doubled, write_pair
 
-__all__ = ["BodyContact", "VertexPlanes", "hold_vertices", "vertex_body_gaps"]
+__all__ = ["BodyContact", "VertexPlanes", "arm", "hold_vertices", "vertex_body_gaps"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -49,6 +49,8 @@ class VertexPlanes(NamedTuple):
         velocity: of the body at each plane's closest point [m/s], (n, 3, 3).
         at: where the planes were computed [m], (n, 3).
         renewal: squared way from there after which they are renewed [m^2], (n,).
+        armed: particles that can come to the offset surface before the next search; the first armed_count[0] count.
+        is_armed: whether each is one of them, (n,).
     """
 
     start: Ints
@@ -60,6 +62,9 @@ class VertexPlanes(NamedTuple):
     velocity: Floats
     at: Floats
     renewal: Floats
+    armed: Ints
+    armed_count: Ints
+    is_armed: NDArray[np.bool_]
 
     @classmethod
     def of(cls, particle_count: int, pairs: Ints, distance: Floats) -> VertexPlanes:
@@ -76,7 +81,17 @@ class VertexPlanes(NamedTuple):
             velocity=np.zeros((particle_count, _MOST_PLANES, 3)),
             at=np.zeros((particle_count, 3)),
             renewal=np.zeros(particle_count),
+            armed=np.zeros(particle_count, dtype=np.int32),
+            armed_count=np.zeros(1, dtype=np.int32),
+            is_armed=np.zeros(particle_count, dtype=np.bool_),
         )
+
+    def arm_all(self) -> None:
+        """Take all that has triangles within reach for what can come to the offset surface."""
+        has = np.diff(self.start) > 0
+        self.is_armed[:] = has
+        self.armed_count[0] = has.sum()
+        self.armed[: has.sum()] = np.flatnonzero(has)
 
 
 class BodyContact:
@@ -249,6 +264,15 @@ def vertex_body_gaps(
 
 
 @kernel
+def arm(planes: VertexPlanes, i: int) -> None:
+    """Let particle i be one that can come to the offset surface."""
+    if not planes.is_armed[i]:
+        planes.is_armed[i] = True
+        planes.armed[planes.armed_count[0]] = i
+        planes.armed_count[0] += 1
+
+
+@kernel
 def _renew_planes(
     i: int,
     x: Floats,
@@ -324,10 +348,11 @@ def hold_vertices(
     push_speed: float,
     dt: float,
 ) -> None:
-    """Cloth vertices against body triangles: each particle against its own contact planes."""
+    """Cloth vertices against body triangles: each armed particle against its own contact planes."""
     renewal = _RENEWAL_SHARE * offset
-    for i in range(x.shape[0]):
-        if planes.start[i] == planes.start[i + 1] or inverse_mass[i] == 0.0:
+    for entry in range(planes.armed_count[0]):
+        i = planes.armed[entry]
+        if inverse_mass[i] == 0.0:
             continue
         dx = x[i, 0] - planes.at[i, 0]
         dy = x[i, 1] - planes.at[i, 1]

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
-from cloth_core.body_contact import BodyContact, VertexPlanes, hold_vertices, vertex_body_gaps
+from cloth_core.body_contact import BodyContact, VertexPlanes, arm, hold_vertices, vertex_body_gaps
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
@@ -71,6 +71,10 @@ Ints = NDArray[np.int32]
 # not move at all.
 _RADIUS = 0.006
 _LEAST_RADIUS = 0.002
+# The radius becomes this much larger from one broad phase to the next while they find fewer pairs than this for each
+# particle, up to so many times, and smaller again when they find more than that.
+_WIDEN, _WIDEST = 1.5, 4.0
+_FEW_PAIRS, _MANY_PAIRS = 0.25, 1.0
 _NO_BODY = np.zeros((0, 3))
 
 
@@ -130,18 +134,26 @@ class Contact:
         body: what it meets, or None.
         cloth: contact with itself, or None where that cannot happen.
         radius: how far particles may move at most between two broad phases [m].
+        farthest: the same for those that have nothing near them but what is left out of the search [m].
 
     Attributes:
         broad_phases, narrow_phases: how many there were.
     """
 
     def __init__(
-        self, triangles: Ints, body: BodyContact | None, cloth: SelfContact | None = None, radius: float = _RADIUS
+        self,
+        triangles: Ints,
+        body: BodyContact | None,
+        cloth: SelfContact | None = None,
+        radius: float = _RADIUS,
+        farthest: float | None = None,
     ) -> None:
         self.triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self.body = body
         self.cloth = cloth
         self.radius = radius
+        self.farthest = radius if farthest is None else farthest
+        self._wider = 1.0
         self.broad_phases = 0
         self.narrow_phases = 0
         self._representatives = representatives(self.triangles)
@@ -168,25 +180,40 @@ class Contact:
         due, way_of_body = len(self._broad_x) != len(x), 0.0
         if not due:
             way_of_body = self._way_of_body()
-            due, moved, granted = _left_of_radius(x, self._broad_x, self._radii, way_of_body, wanted, self.radius)
+            due, moved, left = _left_of_radius(x, self._broad_x, self._radii, way_of_body, wanted, self.radius)
         if due:
             # In proportion to how fast each moves, so that all are used up at about the same time.
             least = min(_LEAST_RADIUS, self.radius)
-            self._radii = least + (self.radius - least) * (wanted / wanted.max())
+            radius = min(self._wider * self.radius, max(self.farthest, self.radius))
+            largest = radius if self.cloth is None else self.cloth.largest_radii(x, radius, self.farthest)
+            self._radii = least + (largest - least) * (wanted / wanted.max())
             self._broad_phase(x)
             way_of_body = 0.0
-            moved, granted = np.zeros(len(x)), np.minimum(wanted, self._radii)
+            moved, left = np.zeros(len(x)), self._radii
+            found = len(self._pairs.kind)
+            if found < _FEW_PAIRS * len(x):
+                self._wider = min(self._wider * _WIDEN, _WIDEST)
+            elif found > _MANY_PAIRS * len(x):
+                self._wider = max(self._wider / _WIDEN, 1.0)
+        # What is near nothing lengthens no list by how far it may go.
+        alone = (np.diff(self._planes.start) == 0) & (np.diff(self._renewal.start) == 0)
+        granted = np.where(alone, left, np.minimum(wanted, left))
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
         travel, near = _narrow_phase(
-            x, self._planes, self._pairs, body_x, body_triangles, moved, granted, self._renewal.place
-        )
+            x, self._planes, self._pairs, body_x, body_triangles, moved, granted, self._renewal.place,
+            self.body.offset if self.body is not None else 0.0,
+        )  # fmt: skip
         self.narrow_phases += 1
         if body_x is not self._searched_body_x:
             self._planes.plane_count[:] = -1
             self._searched_body_x = body_x
         renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
         return ContactState(x.copy(), travel, self._planes, self._pairs, NearPlanes.of(near), renewal)
+
+    def forget(self) -> None:
+        """Let the next search be one with a broad phase."""
+        self._broad_x = np.zeros((0, 3))
 
     def _broad_phase(self, x: Floats) -> None:
         self.broad_phases += 1
@@ -229,19 +256,18 @@ class Contact:
 def _left_of_radius(
     x: Floats, broad_x: Floats, radii: Floats, way_of_body: float, wanted: Floats, radius: float
 ) -> tuple[bool, Floats, Floats]:
-    """Whether any particle has too little left of its radius [m]; the way of each since the broad phase, and its reach.
+    """Whether any particle has too little left of its radius [m]; how far each has moved since the broad phase.
 
-    Shapes: x, broad_x (n, 3), radii, wanted (n,) [m]; radius is the largest one. Returns also moved, granted (n,) [m].
+    Shapes: x, broad_x (n, 3), radii, wanted (n,) [m]; radius is the largest one. Returns also moved and left (n,) [m].
     """
-    moved, granted = np.empty_like(radii), np.empty_like(radii)
+    moved, left = np.empty_like(radii), np.empty_like(radii)
     short = 0
     for i in range(radii.shape[0]):
         dx, dy, dz = x[i, 0] - broad_x[i, 0], x[i, 1] - broad_x[i, 1], x[i, 2] - broad_x[i, 2]
         moved[i] = np.sqrt(dx * dx + dy * dy + dz * dz) + way_of_body
-        left = radii[i] - moved[i]
-        granted[i] = min(wanted[i], left)
-        short += not enough_of_radius(left, wanted[i], radius)
-    return short > 0, moved, granted
+        left[i] = radii[i] - moved[i]
+        short += not enough_of_radius(left[i], wanted[i], radius)
+    return short > 0, moved, left
 
 
 @kernel
@@ -254,20 +280,25 @@ def _narrow_phase(
     moved: Floats,
     reach: Floats,
     place: Ints,
+    offset: float,
 ) -> tuple[Floats, Floats]:
     """List the pairs that can come into contact within reach (n,) [m]; place (s,) says where each is listed, or -1.
 
-    moved (n,): way of each particle since the broad phase [m]. A pair that is farther apart than what both sides may
-    travel does not bound anybody.
+    Particles that can come as near to the body as offset [m] are armed. moved (n,): way of each particle since the
+    broad phase [m]. A pair that is farther apart than what both sides may travel does not bound anybody.
 
     Returns:
         how far each particle may go [m], (n,); particle, normal and room of the planes of what nearly touches, (k, 5).
     """
-    travel = reach / BODY_TRAVEL
+    travel = np.maximum(reach / BODY_TRAVEL, reach + 1.1 * offset)
     near = np.empty((16, 5))
     near_count = 0
     vertex_body_gaps(x, planes, body_x, body_triangles, moved, travel, travel)
+    planes.is_armed[:] = False
+    planes.armed_count[0] = 0
     for i in range(travel.shape[0]):
+        if travel[i] - min(BODY_TRAVEL * travel[i], reach[i]) < COUNTS_FROM * offset:
+            arm(planes, i)
         if travel[i] < NEAR:
             travel[i], near, near_count = _near_body(i, x, planes, body_x, body_triangles, reach[i], near, near_count)
         travel[i] = min(BODY_TRAVEL * travel[i], reach[i])

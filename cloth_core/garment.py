@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from cloth_core.errors import GarmentError
 from cloth_core.panel_mesh import PanelMesh, mesh_panel, smallest_angles
 from cloth_core.pattern import Panel, Pattern
+from cloth_core.smooth_windows import Windows, windows_of
 
 __all__ = ["Garment", "Seam", "merged_numbers"]
 
@@ -99,6 +101,11 @@ class Garment:
         cells = (b - a)[:, 0] * (d - a)[:, 1]
         share = np.concatenate([np.repeat(self.areas[band] / 3.0, 3), np.repeat(cells / 4.0, 4)])
         return np.bincount(corners, weights=share, minlength=len(self.rest)).astype(np.float64)
+
+    @cached_property
+    def windows(self) -> Windows:
+        """Convex windows of the panels, for `cloth_core.smooth_windows`."""
+        return windows_of(self)
 
     @property
     def particle_count(self) -> int:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cloth_core.aabb_tree import build_tree, refit_tree
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import kernel
-from cloth_core.self_contact import self_overlapping_pairs
+from cloth_core.self_contact import NONE_LEFT_OUT, self_overlapping_pairs
 
 __all__ = ["close_pairs"]
 
@@ -36,10 +36,10 @@ def close_pairs(x: Floats, triangles: Ints, distance: float, identity: Ints | No
     tree = build_tree(x, triangles)
     refit_tree(tree, x, triangles, 0.5 * distance)
     pairs = np.zeros((4096, 2), dtype=np.int32)
-    found = self_overlapping_pairs(tree, pairs)
+    found = self_overlapping_pairs(tree, NONE_LEFT_OUT, pairs)
     if found > len(pairs):
         pairs = np.zeros((found, 2), dtype=np.int32)
-        found = self_overlapping_pairs(tree, pairs)
+        found = self_overlapping_pairs(tree, NONE_LEFT_OUT, pairs)
     candidates = np.concatenate([pairs[:found], pairs[:found, ::-1]])
     corners = np.repeat(candidates[:, 1], 3), triangles[candidates[:, 0]].ravel()
     keys = np.unique(corners[0].astype(np.int64) * len(x) + corners[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,7 +131,8 @@ class Model:
         if body is not None or cloth is not None:
             radius = min(_SEARCH_RADIUS, _SEARCH_RADIUS_SHARE * garment.spacing)
             radius = _BODY_SEARCH_RADIUS if cloth is None else radius
-            self.contact = Contact(self.triangles, body, cloth, radius=radius)
+            farthest = _BODY_SEARCH_RADIUS if body is not None else math.inf
+            self.contact = Contact(self.triangles, body, cloth, radius, farthest)
         self.terms = marked_off(self._terms(closed), without)
 
     def soften(self, softness: float) -> None:

@@ -106,6 +106,7 @@ class BodyMotion:
         """
         planes, pairs = contacts.planes, contacts.pairs
         planes.plane_count[:] = -1
+        planes.arm_all()
         safe = _safe_time(
             x, planes.start, planes.body_triangle, pairs, self.body.vertices, self.body.triangles, self._speed,
             self._full_velocity,

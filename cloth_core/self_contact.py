@@ -22,8 +22,9 @@ from cloth_core.near_distances import point_triangle_distances, segment_distance
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 from cloth_core.pair_list import doubled, write_pair
 from cloth_core.seam_gaps import ClosingSeams, point_neighbours
+from cloth_core.smooth_windows import SmoothWindows, common_window, node_windows
 
-__all__ = ["SelfContact", "self_overlapping_pairs"]
+__all__ = ["NONE_LEFT_OUT", "SelfContact", "self_overlapping_pairs"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -38,6 +39,10 @@ _GAP_SEARCHES = 10
 # Pairs of triangles whose boxes overlap, in all and for each triangle: about a dozen in one layer, and as many for each
 # layer beside it. More than a heap of cloth has would take memory and time out of all proportion.
 _MOST_PAIRS, _PAIRS_PER_TRIANGLE = 100_000, 200
+# What is too smooth to touch itself may move by this share of a tile: two tiles of which one lies between are farther
+# apart than twice that.
+_SHARE_OF_TILE = 0.4
+NONE_LEFT_OUT = np.zeros((0, 4), dtype=np.int32)
 
 
 class SelfContact:
@@ -52,6 +57,7 @@ class SelfContact:
     Attributes:
         gaps_may_leave: whether gaps of seams that cloth touches count as cloth no longer: they may be what holds a seam
             open that comes no nearer.
+        smooth: what is too smooth to touch itself, and is left out; None where nothing is.
     """
 
     def __init__(self, triangles: Ints, identity: Ints, height: Floats, offset: float) -> None:
@@ -59,6 +65,7 @@ class SelfContact:
         self.offset = offset
         self._room = _NEIGHBOUR_SHARE * height
         self.gaps_may_leave = False
+        self.smooth: SmoothWindows | None = None
         self._closing: ClosingSeams | None = None
         # Which gaps are in; which seam each of those fills; and seams whose gaps are kept apart from each other's.
         self._gap_is_in: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
@@ -87,6 +94,7 @@ class SelfContact:
         height = np.full(count, np.inf)
         np.minimum.at(height, triangles.ravel(), np.repeat(2.0 * garment.areas / longest, 3))
         contact = cls(triangles, identity, height, offset)
+        contact.smooth = SmoothWindows(garment.windows, offset)
         if sewing and garment.seams:
             contact._closing = ClosingSeams(garment, triangles, _MET)
             contact._let_gaps_in(garment.start)
@@ -134,6 +142,16 @@ class SelfContact:
                 s, t = divmod(int(key), len(self._gaps_apart))
                 self._gaps_apart[s, t] = self._gaps_apart[t, s] = False
 
+    def largest_radii(self, x: Floats, radius: float, farthest: float) -> Floats:
+        """How far each particle may move until the next search [m], (n,): farther than `radius` where nothing is near.
+
+        To be asked before `candidates` at the same x (n, 3) [m].
+        """
+        if self.smooth is None:
+            return np.full(len(x), radius)
+        self.smooth.look(x, self.triangles)
+        return np.clip(_SHARE_OF_TILE * self.smooth.room(self.triangles, len(x)), radius, farthest)
+
     def candidates(self, x: Floats, radius: float | Floats) -> tuple[Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
 
@@ -172,7 +190,10 @@ class SelfContact:
             self._tree = build_tree(x, self.triangles)
         refit_tree(self._tree, x, self.triangles, 0.5 * self.offset + radius)
         most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * len(self.triangles)
-        found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
+        left_out = NONE_LEFT_OUT
+        if self.smooth is not None:
+            left_out = node_windows(self._tree, self.smooth.windows.of_triangle, self.smooth.smooth)
+        found = self_overlapping_pairs(self._tree, left_out, self._leaf_pairs, most)
         if found > most:
             raise SceneError(
                 f"garment: too much of it lies at the same place, more than {most} pairs of triangles; place its "
@@ -180,7 +201,7 @@ class SelfContact:
             )
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
-            found = self_overlapping_pairs(self._tree, self._leaf_pairs, most)
+            found = self_overlapping_pairs(self._tree, left_out, self._leaf_pairs, most)
         return self._leaf_pairs[:found]
 
     def _measured(self, x: Floats, pairs: Ints, radius: float | Floats) -> tuple[Ints, Floats]:
@@ -201,10 +222,11 @@ class SelfContact:
 
 
 @kernel
-def self_overlapping_pairs(tree: AabbTree, pairs: Ints, most: int = 2**62) -> int:
+def self_overlapping_pairs(tree: AabbTree, left_out: Ints, pairs: Ints, most: int = 2**62) -> int:
     """Traversal of a tree against itself: all pairs of different triangles whose boxes overlap, each once.
 
-    At most len(pairs) are written to pairs (p, 2); the number found is returned. The search ends at more than `most`.
+    left_out: smooth windows of each node, (nodes, 4), or none, (0, 4): what has one in common does not meet. At most
+    len(pairs) are written to pairs (p, 2); the number found is returned. The search ends at more than `most`.
     """
     found = 0
     if tree.triangle.shape[0] == 0:
@@ -216,6 +238,8 @@ def self_overlapping_pairs(tree: AabbTree, pairs: Ints, most: int = 2**62) -> in
         i, j = stack[top, 0], stack[top, 1]
         if top + 4 > stack.shape[0]:
             stack = doubled(stack)
+        if left_out.shape[0] > 0 and common_window(left_out, i, j):
+            continue
         if i == j:
             if tree.triangle[i] < 0:
                 left, right = i + 1, tree.right[i]

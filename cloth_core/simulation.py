@@ -26,6 +26,7 @@ from cloth_core.rest import RestWatch, StallWatch, slowest_swing, why_restless
 from cloth_core.run_report import RunState, description_of, hash_of, report_of
 from cloth_core.scene import Scene
 from cloth_core.seam_closing import SeamClosing, count_crossings
+from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
 from cloth_core.support import why_unsupported
@@ -410,10 +411,17 @@ class Simulation:
                 steps = 1
             step = min(dt, self._flight_step)
             self._rescale_impulses(step)
+            before_steps = self._x.copy(), self._v.copy()
             if self.grasps:
                 self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * step)
             openness = self._openness()
             did = self._steps(step, steps, openness)
+            folds = self._folds()
+            if folds == FOLDED:
+                # Parts that were left out of the search may have met: back, and once more with them.
+                self._x, self._v = before_steps
+                self._search_contacts()
+                continue
             done += did
             self.steps += did
             self.time += did * step
@@ -423,7 +431,7 @@ class Simulation:
                 self._advance_body(did * step)
                 self._search_contacts()
                 good = self._finite_state()  # of the cloth around the body where it is by now
-            elif did < steps and self.model.contact is not None:
+            elif (did < steps or folds == FOLDING) and self.model.contact is not None:
                 self._check_finite(good)
                 self._search_contacts()
         self._check_finite(good)
@@ -454,6 +462,16 @@ class Simulation:
         if self._implicit is not None:
             return implicit_steps(*arguments, self._implicit)
         return run_steps(*arguments, openness, 1.0 / self.scene.settings.closing_time)
+
+    def _folds(self) -> int:
+        """What has become of cloth that was too smooth to be searched for contact with itself; what folds will be."""
+        contact = self.model.contact
+        if contact is None or contact.cloth is None or contact.cloth.smooth is None:
+            return SMOOTH
+        folds = contact.cloth.smooth.state(self._x, self.model.triangles)
+        if folds != SMOOTH:
+            contact.forget()
+        return folds
 
     def _openness(self) -> float:
         """Share of its start length to which a seam's pull lets it close by now."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.body_contact import arm
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
@@ -197,6 +198,8 @@ def _renew(
     granted = left if alone else min(wanted, left)
     travel = granted / BODY_TRAVEL
     forget_planes(state.near, p)
+    if planes.start[p] < planes.start[p + 1]:
+        arm(planes, p)
     for entry in range(planes.start[p], planes.start[p + 1]):
         if planes.distance[entry] - way >= travel:
             continue
