@@ -6,8 +6,12 @@ import trimesh
 from apparatus import body_of, pattern, rectangle
 from scipy.spatial.transform import Rotation
 
+from cloth_core import limb_room
+from cloth_core.blocked_lines import BlockedLines, seam_lines
+from cloth_core.body import Body
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
+from cloth_core.intersections import crossing_edges
 from cloth_core.limb_room import with_room_for_limbs
 from cloth_core.quality import Settings
 from cloth_core.scene import Scene
@@ -49,6 +53,37 @@ def test_arm_in_a_seam_gets_between_the_panels(lowest):
     assert below < 0.961
     assert above > 1.039
     assert np.linalg.norm(way[0]) < 0.08
+
+
+def soup(count: int, seed: int = 3) -> Body:
+    """Large triangles every which way, as no body has them: around the sleeve, but without touching its panels."""
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform([-0.6, -0.07, 0.4], [0.6, 0.07, 1.6], (count, 3, 3))
+    return Body("soup", corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3))
+
+
+def test_lines_are_counted_as_the_exact_counter_does():
+    garment = Garment.from_pattern(sleeve(0.97), 0.03)
+    lines = seam_lines(list(garment.seams))
+    flat = np.concatenate([lines, lines[:, 1:]], axis=1)
+    for body in (ARM, soup(5), soup(50)):
+        naive = len(crossing_edges(garment.start, flat, body.vertices, body.triangles))
+        assert 0 < naive <= len(lines)
+        counter = BlockedLines(body)
+        assert counter.count(garment.start, lines) == naive
+        assert counter.count(garment.start, lines, enough=naive - 1) == naive - 1
+        assert not counter.spent
+
+
+def test_search_that_takes_too_many_tests_moves_nothing(monkeypatch):
+    garment = Garment.from_pattern(sleeve(0.98), 0.03)
+    assert with_room_for_limbs(garment, ARM) is not garment
+    monkeypatch.setattr(limb_room, "_MOST_TESTS", 100)
+    assert with_room_for_limbs(garment, ARM) is garment
+    counter = BlockedLines(ARM, 10)
+    lines = seam_lines(list(garment.seams))
+    assert counter.count(garment.start, lines) == len(lines)
+    assert counter.spent
 
 
 def test_what_is_free_stays_where_the_pattern_puts_it():
