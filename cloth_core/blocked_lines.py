@@ -32,7 +32,7 @@ class BlockedLines:
         most_tests: exact tests of a line with a triangle that may be made in all; they are what takes time.
     """
 
-    def __init__(self, body: Body, most_tests: int) -> None:
+    def __init__(self, body: Body, most_tests: int = 2**62) -> None:
         self._body = body
         self._left = most_tests
 

@@ -233,10 +233,10 @@ class Contact:
         if parts:
             rows, offset, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
             pairs = PairContacts.of(rows, offset, distance)
-        pairs.remember(self._pairs)
+        start, entries = pairs_of_particles(pairs.particles, len(x))
+        pairs.remember(self._pairs, start, entries)
         self._pairs = pairs
         self._broad_x = x.copy()
-        start, entries = pairs_of_particles(pairs.particles, len(x))
         place, waiting = np.empty(len(pairs.kind), dtype=np.int32), np.empty(len(x), dtype=np.int32)
         self._renewal = Renewal.none()._replace(
             broad_x=self._broad_x, radii=self._radii, radius=self.radius, start=start, entries=entries, place=place,

@@ -117,16 +117,14 @@ class PairContacts(NamedTuple):
         """No pairs."""
         return cls.of(np.zeros((0, 7), dtype=np.int32), np.zeros(0), np.zeros(0))
 
-    def remember(self, before: PairContacts) -> None:
-        """Take over the impulses of the pairs in contact of an earlier list, so that the next step starts from them."""
+    def remember(self, before: PairContacts, start: Ints, entries: Ints) -> None:
+        """Take over the impulses of the pairs in contact of an earlier list, so that the next step starts from them.
+
+        start, entries: the pairs of particle i are entries[start[i] : start[i + 1]].
+        """
         old = before.active[: before.active_count[0]]
-        if len(old) == 0 or len(self.kind) == 0:
-            return
-        key, old_key = self._keys(np.arange(len(self.kind))), before._keys(old)
-        order = np.argsort(key)
-        place = order[np.minimum(np.searchsorted(key[order], old_key), len(key) - 1)]
-        found = key[place] == old_key
-        new, old = place[found], old[found]
+        place = _places(before, self, start, entries)
+        new, old = place[place >= 0], old[place >= 0]
         for mine, theirs in (
             (self.weight, before.weight),
             (self.normal, before.normal),
@@ -139,14 +137,25 @@ class PairContacts(NamedTuple):
         self.active[: len(new)] = new
         self.active_count[0] = len(new)
 
-    def _keys(self, which: NDArray[np.integer]) -> NDArray[np.uint64]:
-        """One number for what each pair consists of, (k,)."""
-        key = self.kind[which].astype(np.uint64)
-        for column in (*self.particles[which].T, *self.body[which].T):
-            # Multiplying by an odd number and mixing in the high bits keeps different pairs apart in 64 bits.
-            key = key * np.uint64(0x9E3779B97F4A7C15) + (column.astype(np.int64) + 2).astype(np.uint64)
-            key ^= key >> np.uint64(29)
-        return np.asarray(key, dtype=np.uint64)
+
+@kernel
+def _places(before: PairContacts, after: PairContacts, start: Ints, entries: Ints) -> Ints:
+    """Where each pair in contact of one list stands in another one, -1 if it does not, (active_count,)."""
+    place = np.full(before.active_count[0], -1, dtype=np.int32)
+    for row in range(place.shape[0]):
+        s = before.active[row]
+        i = before.particles[s, 0]
+        for entry in range(start[i], start[i + 1]):
+            t = entries[entry]
+            same = before.kind[s] == after.kind[t]
+            for k in range(4):
+                same = same and before.particles[s, k] == after.particles[t, k]
+            for k in range(2):
+                same = same and before.body[s, k] == after.body[t, k]
+            if same:
+                place[row] = t
+                break
+    return place
 
 
 @kernel

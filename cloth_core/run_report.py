@@ -164,10 +164,15 @@ def _term_facts(state: RunState, missed: dict[str, str]) -> dict[str, dict[str, 
     """Each term with why it is on or off, and what it takes at the present state."""
     costs = term_costs(state.x, state.v, state.forces, state.contact_settings, state.contacts, state.time_step)
     shares = term_shares(state.model.terms, costs)
+    cloth = state.model.contact.cloth if state.model.contact is not None else None
+    reasons = {t.name: t.reason for t in state.model.terms}
+    if cloth is not None and cloth.smooth is not None:
+        smooth = int((cloth.smooth.room_of_triangles() > 0.0).sum())
+        reasons["self contact"] += f"; {smooth} triangles are too smooth now to touch what is around them"
     return {
         t.name: {
             "active": t.active,
-            "reason": t.reason,
+            "reason": reasons[t.name],
             "elements": t.elements,
             **shares[t.name],
             "missed": missed.get(t.name),

@@ -246,9 +246,13 @@ class SmoothWindows:
         self._wait[failed] = _SEARCHES_AFTER_FOLD
         return FOLDED if failed.any() else FOLDING
 
+    def room_of_triangles(self) -> Floats:
+        """Side [m] of the largest tiles all around each triangle of which everything is left out, 0 for none, (m,)."""
+        return _room(self.windows, self.smooth | self._inside)
+
     def room(self, triangles: Ints, particles: int) -> Floats:
-        """Side [m] of the largest tiles all around each particle of which everything is left out, 0 for none, (n,)."""
-        return _room(self.windows, self.smooth | self._inside, triangles, particles)
+        """The least of that among the triangles around each particle, (n,)."""
+        return _least_around(self.room_of_triangles(), triangles, particles)
 
 
 @kernel
@@ -284,23 +288,27 @@ def smoothness(x: Floats, triangles: Ints, windows: Windows, least: Floats, aske
 
 
 @kernel
-def _room(windows: Windows, left_out: Bools, triangles: Ints, particles: int) -> Floats:
-    room = np.full(particles, np.inf)
-    for t in range(windows.inverse_rest.shape[0]):
-        side = 0.0
+def _room(windows: Windows, left_out: Bools) -> Floats:
+    room = np.zeros(windows.inverse_rest.shape[0])
+    for t in range(room.shape[0]):
         for level in range(windows.side.shape[0]):
-            if not windows.whole[level, t]:
-                continue
-            all_out = True
+            all_out = windows.whole[level, t]
             for k in range(4):
                 window = windows.of_triangle[level, t, k]
                 all_out = all_out and (window < 0 or left_out[window])
             if all_out:
-                side = windows.side[level]
+                room[t] = windows.side[level]
                 break
-        for k in range(3):
-            room[triangles[t, k]] = min(room[triangles[t, k]], side)
     return room
+
+
+@kernel
+def _least_around(value: Floats, triangles: Ints, particles: int) -> Floats:
+    least = np.full(particles, np.inf)
+    for t in range(value.shape[0]):
+        for k in range(3):
+            least[triangles[t, k]] = min(least[triangles[t, k]], value[t])
+    return least
 
 
 @kernel

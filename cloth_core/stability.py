@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 Operator = Callable[[Floats], Floats]
 WeightedSum = Callable[[Floats, float, float], Floats]
 
+# Room for Lanczos' vectors [bytes].
+_KEPT_BYTES = 8_000_000
+
 
 @dataclass(frozen=True)
 class StableStep:
@@ -56,7 +59,10 @@ def largest_eigenpair(
         return 0.0, start
     recurrence = _Recurrence(operator, start / norm)
     value, residual, weights = 0.0, math.inf, np.ones(1)
+    kept: list[Floats] = []
     for k in range(iterations):
+        if 8 * size * (k + 1) <= _KEPT_BYTES:
+            kept.append(recurrence.vector[:size].copy())
         recurrence.advance()
         alpha, beta = recurrence.alpha, recurrence.beta
         last = beta[-1] <= 1e-12 * max(abs(a) for a in alpha) or k == iterations - 1
@@ -67,14 +73,18 @@ def largest_eigenpair(
             residual = beta[-1] * abs(float(weights[-1]))
             if last or residual <= tolerance * value:
                 break
-    # The vectors are made again rather than kept: a hundred of them would be ten times as large as the whole model.
-    del recurrence
-    recurrence = _Recurrence(operator, start / norm)
     ritz = np.zeros(size)
-    for k, weight in enumerate(weights):
-        if k > 0:
-            recurrence.advance()
-        ritz += weight * recurrence.vector[:size]
+    if len(kept) == len(weights):
+        for weight, vector in zip(weights, kept, strict=True):
+            ritz += weight * vector
+    else:
+        # Made again: all vectors of a large model would be ten times as large as the model itself.
+        del recurrence, kept
+        recurrence = _Recurrence(operator, start / norm)
+        for k, weight in enumerate(weights):
+            if k > 0:
+                recurrence.advance()
+            ritz += weight * recurrence.vector[:size]
     return max(value, 0.0) + (residual if value > 0.0 else 0.0), ritz.reshape(shape)
 
 

@@ -69,7 +69,7 @@ def test_lines_are_counted_as_the_exact_counter_does():
     for body in (ARM, soup(5), soup(50)):
         naive = len(crossing_edges(garment.start, flat, body.vertices, body.triangles))
         assert 0 < naive <= len(lines)
-        counter = BlockedLines(body, 10**9)
+        counter = BlockedLines(body)
         assert counter.count(garment.start, lines) == naive
         assert counter.count(garment.start, lines, enough=naive - 1) == naive - 1
         assert not counter.spent

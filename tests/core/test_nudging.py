@@ -6,7 +6,8 @@ import trimesh
 from apparatus import body_of, crossings, sheet
 from naive_geometry import is_edge_intersecting_triangle
 
-from cloth_core.nudging import nudged_apart
+from cloth_core.blocked_lines import BlockedLines
+from cloth_core.nudging import _Crossings, _Surroundings, nudged_apart
 
 
 def crossing_sides(x: np.ndarray, triangles: np.ndarray) -> int:
@@ -62,3 +63,22 @@ def test_a_point_is_not_moved_into_the_body():
     assert count == 0
     assert crossing_sides(moved, triangles) == 0
     assert crossings(moved, triangles, plate) == 0
+
+
+def test_counting_around_one_point_is_counting_all():
+    rng = np.random.default_rng(7)
+    plate = body_of(trimesh.creation.icosphere(2, 0.05), move=[0.01, 0.0, 0.03])
+    through_plate = BlockedLines(plate)
+    x, triangles = two_sheets(0.0031)
+    found = _Crossings.of(x, triangles, plate)
+    assert found.number == crossing_sides(x, triangles) + len(found.through_body)
+    seen = set()
+    for point in found.points.tolist():
+        surroundings = _Surroundings.of(x, triangles, found, point)
+        for _ in range(10):
+            moved = x.copy()
+            moved[point] += rng.uniform(-0.002, 0.002, 3)
+            there = surroundings.crossings(moved, through_plate)
+            assert there == _Crossings.of(moved, triangles, plate).number
+            seen.add(there - found.number)
+    assert min(seen) < 0 < max(seen)

@@ -261,6 +261,17 @@ def test_sheet_that_swings_without_folding_does_the_same_without_self_contact():
     np.testing.assert_allclose(searched.positions, free.positions, atol=1e-3)
 
 
+def test_what_is_left_out_is_told():
+    garment = placed(sheet(0.3, 0.25, 0.02))
+    simulation = Simulation(Scene(garment=garment, fabric=Fabric.preset("denim")))
+    facts = simulation.describe()["terms"]["self contact"]
+    assert facts["active"]
+    assert f"{len(garment.triangles)} triangles are too smooth now" in facts["reason"]
+    assert "too smooth" not in Simulation(replace(simulation.scene, without=("self contact",))).describe()["terms"][
+        "self contact"
+    ]["reason"]  # fmt: skip
+
+
 def test_two_sides_sewn_to_a_tube_are_no_window():
     # The rest shape of a panel knows nothing of what is sewn to it; its windows do not reach across the seam.
     tube = pattern({"tube": rectangle(0.3, 0.3)}, [(("tube", 1), ("tube", 3))])
