@@ -42,7 +42,7 @@ def main() -> None:
         return
     os.environ["ROS_DOMAIN_ID"] = str(random.randrange(1, 100))
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    configure_fast_dds()  # transports as those of the participant that sends frames
+    configure_fast_dds()  # as the node does
     with tempfile.TemporaryDirectory() as directory:
         text = report(measure(Path(directory), options.frames))
     print(text)
@@ -95,7 +95,6 @@ def measure(directory: Path, count: int) -> dict[str, Any]:
     from cloth_sim_ros.rclpy_topics import qos_profile
     from cloth_sim_ros.run_messages import RunMessages
     from cloth_sim_ros.topics import GARMENT
-    from cloth_sim_ros.unlocked_publisher import UnlockedPublisher
 
     x, triangles = sheet()
     rclpy.init()
@@ -106,7 +105,7 @@ def measure(directory: Path, count: int) -> dict[str, Any]:
     while publisher.get_subscription_count() == 0:
         time.sleep(0.05)
     time.sleep(1.0)
-    paced = PacedPublisher(UnlockedPublisher(publisher), Departure(node))
+    paced = PacedPublisher(publisher, Departure(node))
     messages = RunMessages(time.time_ns(), "map")
     watch = Stopwatch()
     frames = [messages.garment(number / RATE, x + 1e-6 * number, triangles) for number in range(count + 1)]

@@ -5,17 +5,14 @@ import time
 from collections.abc import Callable, MutableMapping
 from importlib import resources
 from pathlib import Path
-from typing import Protocol
 
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
 from std_msgs.msg import Empty
 
-from cloth_sim_ros.unlocked_publisher import UnlockedPublisher
-
-__all__ = ["Departure", "Outgoing", "PacedPublisher", "configure_fast_dds"]
+__all__ = ["Departure", "PacedPublisher", "configure_fast_dds"]
 
 PATIENCE = 0.1
 """How long a message waits until all subscribers have the one before [s]."""
@@ -35,15 +32,16 @@ class Departure:
     each is followed by an empty message to the node itself, which comes through when all before it have been sent.
 
     Args:
-        node: gets a publisher and a subscription
-        topic: one that `ros2 topic list` hides
+        node: gets a publisher and a subscription on a topic that `ros2 topic list` hides
     """
 
-    def __init__(self, node: Node, topic: str = "~/_sent") -> None:
-        self._publisher = UnlockedPublisher(node.create_publisher(Empty, topic, QoSProfile(depth=1)))
+    TOPIC = "~/_sent"
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = node.create_publisher(Empty, self.TOPIC, QoSProfile(depth=1))
         # Whether its messages are ever taken does not matter.
-        node.create_subscription(Empty, topic, lambda _: None, QoSProfile(depth=1))
-        self._message = serialize_message(Empty())
+        node.create_subscription(Empty, self.TOPIC, lambda _: None, QoSProfile(depth=1))
+        self._message = Empty()
 
     def mark(self) -> None:
         """Says that something has been handed over."""
@@ -51,17 +49,7 @@ class Departure:
 
     def is_over(self) -> bool:
         """Whether all has been sent that was handed over before the last mark."""
-        return self._publisher.wait_for_all_acked(Duration())
-
-
-class Outgoing(Protocol):
-    """What sends: `UnlockedPublisher`, or that of rclpy."""
-
-    def publish(self, data: bytes) -> None:
-        """Hands CDR bytes to DDS."""
-
-    def wait_for_all_acked(self, timeout: Duration) -> bool:
-        """Whether all subscribers have acknowledged all that was published."""
+        return bool(self._publisher.wait_for_all_acked(Duration()))
 
 
 class PacedPublisher:
@@ -76,13 +64,14 @@ class PacedPublisher:
         departure: of the same node
     """
 
-    def __init__(self, publisher: Outgoing, departure: Departure) -> None:
+    def __init__(self, publisher: Publisher, departure: Departure) -> None:
         self._publisher = publisher
         self._departure = departure
         self._in_time = True
 
     def publish(self, data: bytes) -> None:
         """Publishes CDR bytes as they are; waits, at worst for seconds."""
+        # Each look is one of no duration: with one it would wait with Python's lock held, and no service would answer.
         _wait(self._departure.is_over, DEPARTURE_PATIENCE)
         self._in_time = _wait(
             lambda: self._publisher.wait_for_all_acked(Duration()), PATIENCE if self._in_time else IMPATIENCE

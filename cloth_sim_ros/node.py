@@ -33,15 +33,13 @@ from cloth_core.errors import ClothError, PatternError, SceneError
 from cloth_core.grasp import Pose
 from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
-from cloth_sim_ros.delivery import Departure, PacedPublisher
-from cloth_sim_ros.frame_participant import FrameParticipant, configure_node
+from cloth_sim_ros.delivery import Departure, PacedPublisher, configure_fast_dds
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
 from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
 from cloth_sim_ros.sending_thread import SendingThread
 from cloth_sim_ros.simulation_services import SimulationServices, import_types
 from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
-from cloth_sim_ros.unlocked_publisher import UnlockedPublisher
 from cloth_sim_ros.warm_up import warm_up
 from cloth_sim_ros.worker import SimulationWorker
 
@@ -69,7 +67,7 @@ def main(args: list[str] | None = None) -> None:
         signal.signal(number, lambda number, _: signals.append(number))
     # A service call takes the interpreter several times; where the builder keeps it busy, each waits for one interval.
     sys.setswitchinterval(SWITCH_INTERVAL)
-    configure_node()
+    configure_fast_dds()
     # Not before there is something to end: most of rclpy raises where the context goes down while it is at work.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -145,7 +143,6 @@ class ClothSimNode(Node):
         """Ends the simulation and a recording; the log is complete on return."""
         self._worker.close()
         self._sending.close(LAST_DELIVERY)
-        self._frames.close()
         self.destroy_node()  # type: ignore[no-untyped-call]
 
     # -- declare -------------------------------------------------------------------------------------------------------
@@ -166,16 +163,14 @@ class ClothSimNode(Node):
         self._publishers_of: dict[Topic, Publisher] = {}
         self._paced: dict[Topic, PacedPublisher] = {}
         self._sending = SendingThread(self._on_send_error)
-        self._frames = FrameParticipant(self)
-        departure = Departure(self._frames.node, self.resolve_topic_name("~/_sent"))
+        departure = Departure(self)
         for topic in (GARMENT, BODY_MARKER, REPORT, DIAGNOSTICS, CLOCK):
             message_class = MESSAGE_CLASSES[topic.message_type]
-            name = self.resolve_topic_name(topic.name if topic.name.startswith("/") else f"~/{topic.name}")
-            node = self._frames.node if topic.qos.latched else self
-            publisher = node.create_publisher(message_class, name, qos_profile(topic.qos))
+            name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
+            publisher = self.create_publisher(message_class, name, qos_profile(topic.qos))
             self._publishers_of[topic] = publisher
             if topic.qos.latched:
-                self._paced[topic] = PacedPublisher(UnlockedPublisher(publisher), departure)
+                self._paced[topic] = PacedPublisher(publisher, departure)
 
     def _create_subscriptions(self) -> None:
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):

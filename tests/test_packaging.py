@@ -21,8 +21,6 @@ SHARED_FILES = (
     "config/cloth_sim.yaml",
     "rviz/cloth_sim.rviz",
     "dds/fastdds.xml",
-    "dds/fastdds_node.xml",
-    "dds/fastdds_node_localhost.xml",
     "foxglove/cloth_sim.json",
 )
 PACKAGE_DATA = (
@@ -35,10 +33,7 @@ PACKAGE_DATA = (
 )
 ROS_PACKAGES = re.compile(r"(rclpy|rcl_\w+|ament_\w+|rosidl_\w+|builtin_interfaces|launch(_ros)?|\w+_(msgs|srvs))$")
 # These talk to a ROS graph; everything else works without ROS.
-TALKS_TO_ROS = {
-    "delivery.py", "demo.py", "frame_participant.py", "node.py", "play.py", "rclpy_topics.py", "unlocked_publisher.py",
-    "cloth_sim.launch.py",
-}  # fmt: skip
+TALKS_TO_ROS = {"delivery.py", "demo.py", "node.py", "play.py", "rclpy_topics.py", "cloth_sim.launch.py"}
 
 
 def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:

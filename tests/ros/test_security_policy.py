@@ -11,7 +11,6 @@ from rclpy.node import Node
 
 POLICY = resources.files("cloth_sim_ros") / "security" / "cloth_sim.policy.xml"
 PATIENCE = 60.0
-NODES = ("cloth_sim", "_cloth_sim_frames")
 OWN = {"/cloth_sim/_sent", "/parameter_events"}
 """From the node to itself."""
 
@@ -20,16 +19,16 @@ def rules(enclave):
     """(kind, permission) -> names, as sros2 resolves them."""
     root = ElementTree.fromstring(POLICY.read_text(encoding="utf-8"))
     assert root.get("version") == "0.2.0"
+    [profile] = root.findall(f"./enclaves/enclave[@path='/{enclave}']/profiles/profile")
+    node = profile.get("ns") + profile.get("node")
     found = {}
-    for profile in root.findall(f"./enclaves/enclave[@path='/{enclave}']/profiles/profile"):
-        node = profile.get("ns") + profile.get("node")
-        for group in profile:
-            [(permission, qualifier)] = group.attrib.items()
-            assert qualifier == "ALLOW"
-            names = [entry.text.replace("~", node, 1) for entry in group]
-            assert len(names) == len(set(names))
-            assert all(name.startswith("/") for name in names)
-            found.setdefault(permission, set()).update(names)
+    for group in profile:
+        [(permission, qualifier)] = group.attrib.items()
+        assert qualifier == "ALLOW"
+        names = [entry.text.replace("~", node, 1) for entry in group]
+        assert len(names) == len(set(names))
+        assert all(name.startswith("/") for name in names)
+        found[permission] = set(names)
     return found
 
 
@@ -52,10 +51,8 @@ def graph(tmp_path_factory):
             assert time.monotonic() < deadline, found
             time.sleep(0.5)
             before = found
-            if set(NODES) <= set(observer.get_node_names()):
-                found = {
-                    key: {name for node in NODES for name, _ in query(node, "/")} for key, query in queries.items()
-                }
+            if ("cloth_sim", "/") in observer.get_node_names_and_namespaces():
+                found = {key: {name for name, _ in query("cloth_sim", "/")} for key, query in queries.items()}
     finally:
         observer.destroy_node()
         context.try_shutdown()
