@@ -171,7 +171,7 @@ class Contact:
         Args:
             x: positions [m], shape (n, 3).
             reach: how far particles want to go [m], above 0, for all or for each, shape (n,); at most the radius is
-                granted.
+                granted, and all of it to what is near nothing.
 
         Returns:
             what was found; its renewal is not allowed until whoever runs the steps says how particles want to go.
