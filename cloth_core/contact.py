@@ -160,6 +160,7 @@ class Contact:
         self._tree: AabbTree | None = None
         self._broad_x = np.zeros((0, 3))
         self._radii = np.zeros(0)
+        self._alone: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
         self._broad_body_x = self._searched_body_x = _NO_BODY
         self._planes = _no_planes(0)
         self._pairs = PairContacts.none()
@@ -195,9 +196,7 @@ class Contact:
                 self._wider = min(self._wider * _WIDEN, _WIDEST)
             elif found > _MANY_PAIRS * len(x):
                 self._wider = max(self._wider / _WIDEN, 1.0)
-        # What is near nothing lengthens no list by how far it may go.
-        alone = (np.diff(self._planes.start) == 0) & (np.diff(self._renewal.start) == 0)
-        granted = np.where(alone, left, np.minimum(wanted, left))
+        granted = np.where(self._alone, left, np.minimum(wanted, left))
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
         travel, near = _narrow_phase(
@@ -234,6 +233,8 @@ class Contact:
             rows, offset, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
             pairs = PairContacts.of(rows, offset, distance)
         start, entries = pairs_of_particles(pairs.particles, len(x))
+        # What is near nothing lengthens no list by how far it may go.
+        self._alone = (np.diff(self._planes.start) == 0) & (np.diff(start) == 0)
         pairs.remember(self._pairs, start, entries)
         self._pairs = pairs
         self._broad_x = x.copy()

@@ -26,7 +26,7 @@ from cloth_core.rest import RestWatch, StallWatch, slowest_swing, why_restless
 from cloth_core.run_report import RunState, description_of, hash_of, report_of
 from cloth_core.scene import Scene
 from cloth_core.seam_closing import SeamClosing, count_crossings
-from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH
+from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH, SmoothWindows
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
 from cloth_core.support import why_unsupported
@@ -411,15 +411,15 @@ class Simulation:
                 steps = 1
             step = min(dt, self._flight_step)
             self._rescale_impulses(step)
-            before_steps = self._x.copy(), self._v.copy()
+            before_steps = self._finite_state() if self._smooth is not None else None
             if self.grasps:
                 self.grasps.prescribe(self.model, self._x, self._v, self._contacts.travel, steps * step)
             openness = self._openness()
             did = self._steps(step, steps, openness)
             folds = self._folds()
-            if folds == FOLDED:
+            if before_steps is not None and folds == FOLDED:
                 # Parts that were left out of the search may have met: back, and once more with them.
-                self._x, self._v = before_steps
+                self._x, self._v = before_steps.x, before_steps.v
                 self._search_contacts()
                 continue
             done += did
@@ -463,12 +463,17 @@ class Simulation:
             return implicit_steps(*arguments, self._implicit)
         return run_steps(*arguments, openness, 1.0 / self.scene.settings.closing_time)
 
+    @property
+    def _smooth(self) -> SmoothWindows | None:
+        contact = self.model.contact
+        return contact.cloth.smooth if contact is not None and contact.cloth is not None else None
+
     def _folds(self) -> int:
         """What has become of cloth that was too smooth to be searched for contact with itself; what folds will be."""
-        contact = self.model.contact
-        if contact is None or contact.cloth is None or contact.cloth.smooth is None:
+        smooth, contact = self._smooth, self.model.contact
+        if smooth is None or contact is None:
             return SMOOTH
-        folds = contact.cloth.smooth.state(self._x, self.model.triangles)
+        folds = smooth.state(self._x, self.model.triangles)
         if folds != SMOOTH:
             contact.forget()
         return folds
