@@ -43,12 +43,12 @@ s; on the sphere 8.5 and 6.5, where it crumples at the impact.
 
 Tried and not kept, since it gained nothing: more inertia for the light points at the rims of panels while seams close
 (the time step grows by 1.6, and the searches by as much); larger or smaller search radii; softer springs at the
-beginning of a fine mesh that starts from a coarser drape (it comes to rest twice). Softer springs in scene B, where they
-may stretch by 5 %, make steps longer but the folds of the impact finer: with 400 and 150 N/m 1.5 and 1.35 s per s at
-64 x 64 (1.7 with 1000), nothing at 32 x 32, and with self contact it takes longer. A quarter of scene B is the impact,
-a ninth of its frames. A search of everything is due as soon as one particle has used up its radius, when half of the
-others have used less than a quarter of theirs; to search anew only for those that have used up half of it (1 to 8 % of
-them) halves what a search costs, since their neighbours fill the same boxes, and makes them twice as many.
+beginning of a fine mesh that starts from a coarser drape (it comes to rest twice). Softer springs in scene B, where
+they may stretch by 5 %, make steps longer but the folds of the impact finer: with 400 and 150 N/m 1.5 and 1.35 s per s
+at 64 x 64 (1.7 with 1000), nothing at 32 x 32, and with self contact it takes longer. A quarter of scene B is the
+impact, a ninth of its frames. A search of everything is due as soon as one particle has used up its radius, when half
+of the others have used less than a quarter of theirs; to search anew only for those that have used up half of it (1 to
+8 % of them) halves what a search costs, since their neighbours fill the same boxes, and makes them twice as many.
 
 What remains between this and the C program: forces are added to both ends of a spring through memory (the program
 computes each spring twice instead and adds in registers), the rim is a list, and bending takes three passes over
