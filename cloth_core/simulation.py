@@ -31,6 +31,7 @@ from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
 from cloth_core.support import why_unsupported
 from cloth_core.switched_off import scene_without
+from cloth_core.tightness import Tightness
 from cloth_core.travel_renewal import SPENT
 
 __all__ = ["Progress", "Simulation"]
@@ -61,8 +62,6 @@ _COARSER = 2.0
 _COARSEST = 0.04
 # Air drag while seams close [1/s].
 _SEWING_DRAG = 10.0
-# A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
-_PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # A run that has come to rest is no longer stepped when nothing moves farther than this in a window [m].
@@ -631,10 +630,12 @@ class Simulation:
         at_rest = self._rest.at_rest(self.time, self._x)
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
-        patience = _PATIENCE_WHEN_OPEN if self._seams.open_seams else _PATIENCE
-        if self._seeking_rest and not at_rest and self._stall_watch.stalls(self.time, movement, patience):
-            stalled_for = self.time - self._stall_watch.since
-            self._stalled = why_restless(self.scene.garment, self.model.number, self._x, self._rest, stalled_for)
+        if self._seeking_rest and not at_rest:
+            tightness = Tightness.of(self.model, self._x)
+            if self._stall_watch.stalls(self.time, movement, tightness.patience(bool(self._seams.open_seams))):
+                stalled_for = self.time - self._stall_watch.since
+                restless = why_restless(self.scene.garment, self.model.number, self._x, self._rest, stalled_for)
+                self._stalled = tightness.why + restless
         if self._seeking_rest and self._calming.active:
             if self._calming.ended(movement, allowed):
                 self._open_window()

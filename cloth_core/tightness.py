@@ -1,0 +1,73 @@
+"""How tight a garment is once it is sewn, and how long it may go on moving then.
+
+Cloth that a body stretches far beyond the fabric's limit, as a garment does that is sizes too small, trembles under a
+pull that contact and strain limit cannot both satisfy. It will not come to rest, and its steps are dear.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.model import Model
+from cloth_core.springs import SpringFamily, spring_strains
+
+__all__ = ["Tightness"]
+
+Floats = NDArray[np.float64]
+
+# A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
+_PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
+# The same for garments that are stretched by this many times the fabric's limit: with open seams, and with any.
+_TIGHT, _PATIENCE_WHEN_TIGHT = 2.0, 1.0
+_FAR_TOO_TIGHT, _PATIENCE_WHEN_FAR_TOO_TIGHT = 5.0, 0.5
+
+
+class Tightness(NamedTuple):
+    """The most stretched structural spring.
+
+    Attributes:
+        strain: of it; limit: of the fabric.
+        panel: that it belongs to; place: of it [m], (3,).
+    """
+
+    strain: float
+    limit: float
+    panel: str
+    place: Floats
+
+    @classmethod
+    def of(cls, model: Model, x: Floats) -> Tightness:
+        """Of a model at x (k, 3) [m], its own numbering."""
+        garment, springs = model.scene.garment, model.springs
+        own = np.flatnonzero(springs.family == SpringFamily.STRUCTURAL)
+        worst = int(own[np.argmax(spring_strains(x, springs)[own])])
+        ends = springs.pairs[worst]
+        particle = int(np.flatnonzero(model.number == ends[0])[0])
+        return cls(
+            strain=float(spring_strains(x, springs)[worst]),
+            limit=model.scene.fabric.strain_limit,
+            panel=garment.panel_names[garment.panel_of_particle[particle]],
+            place=x[ends].mean(axis=0),
+        )
+
+    def patience(self, open_seams: bool) -> float:
+        """How long movements may go without halving before a run to rest is given up [s]."""
+        if self.strain >= _FAR_TOO_TIGHT * self.limit:
+            return _PATIENCE_WHEN_FAR_TOO_TIGHT
+        if not open_seams:
+            return _PATIENCE
+        return _PATIENCE_WHEN_TIGHT if self.strain >= _TIGHT * self.limit else _PATIENCE_WHEN_OPEN
+
+    @property
+    def why(self) -> str:
+        """Where a garment is too tight, the beginning of a line; empty below twice the limit."""
+        if self.strain < _TIGHT * self.limit:
+            return ""
+        place = ", ".join(f"{value:.2f}" for value in self.place)
+        return (
+            f"too tight: panel '{self.panel}' at ({place}) m is stretched by {100 * self.strain:.0f} %, "
+            f"{100 * self.limit:g} % is the fabric's limit; "
+        )
