@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cloth_core.calming import Calming, limit_speed
 from cloth_core.coarse_start import Interpolation, interpolation_between, pushed_out_of_body
 from cloth_core.contact import ContactSettings, ContactState
+from cloth_core.crossed_start import body_start_warnings
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.implicit_matrix import build_matrix
@@ -131,6 +132,8 @@ class Simulation:
         self.settled = False
         self._searches = 0
         self._warnings: list[str] = []
+        if scene.body is not None and not scene.worn:  # what patterns are made into is placed clear of it
+            self._warnings += body_start_warnings(scene.garment, scene.body)
         self._seeking_rest = False
         self._calming = Calming()
         self._has_settled = self._asleep = False
