@@ -17,6 +17,7 @@ from cloth_core.scene import Scene
 from cloth_core.seam_gaps import seam_gap_triangles
 from cloth_core.seam_hope import SeamHope, far_points, stretch_beside
 from cloth_core.sewing import seam_gaps
+from cloth_core.tightness import times_the_limit
 
 __all__ = ["SeamClosing", "count_crossings"]
 
@@ -170,7 +171,7 @@ class SeamClosing:
         """Whether what is too far apart to merge will not get any nearer."""
         points, still_open = far_points(scene.garment.seams, x, scene.settings.merge_distance)
         limit = math.inf if "strain limit" in scene.without else scene.fabric.strain_limit
-        stretch = stretch_beside(scene.garment, points, x) / limit
+        stretch = times_the_limit(stretch_beside(scene.garment, points, x), limit)
         return self._hope.lost(still_open, stretch, self._firmness, self._firmness >= _FIRMEST, time)
 
     def _pull_harder(self, model: Model) -> None:

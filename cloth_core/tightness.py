@@ -14,22 +14,24 @@ from numpy.typing import NDArray
 from cloth_core.model import Model
 from cloth_core.springs import SpringFamily, spring_strains
 
-__all__ = ["Tightness"]
+__all__ = ["Tightness", "times_the_limit"]
 
 Floats = NDArray[np.float64]
 
 # A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
 _PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
 # The same for garments that are stretched by this many times the fabric's limit: with open seams, and with any.
-_TIGHT, _PATIENCE_WHEN_TIGHT = 2.0, 1.0
-_FAR_TOO_TIGHT, _PATIENCE_WHEN_FAR_TOO_TIGHT = 5.0, 0.5
+_TIGHT, _PATIENCE_WHEN_TIGHT = 1.5, 0.5
+_FAR_TOO_TIGHT, _PATIENCE_WHEN_FAR_TOO_TIGHT = 5.0, 0.3
+# Seams pull at least as hard as this stretch would, whatever the fabric's limit.
+_LEAST_LIMIT = 0.05
 
 
 class Tightness(NamedTuple):
     """The most stretched structural spring.
 
     Attributes:
-        strain: of it; limit: of the fabric.
+        strain: of it; limit: of the fabric, infinite if it is switched off.
         panel: that it belongs to; place: of it [m], (3,).
     """
 
@@ -43,31 +45,38 @@ class Tightness(NamedTuple):
         """Of a model at x (k, 3) [m], its own numbering."""
         garment, springs = model.scene.garment, model.springs
         own = np.flatnonzero(springs.family == SpringFamily.STRUCTURAL)
-        worst = int(own[np.argmax(spring_strains(x, springs)[own])])
+        strains = spring_strains(x, springs)
+        worst = int(own[np.argmax(strains[own])])
         ends = springs.pairs[worst]
         particle = int(np.flatnonzero(model.number == ends[0])[0])
         return cls(
-            strain=float(spring_strains(x, springs)[worst]),
-            limit=model.scene.fabric.strain_limit,
+            strain=float(strains[worst]),
+            limit=np.inf if "strain limit" in model.scene.without else model.scene.fabric.strain_limit,
             panel=garment.panel_names[garment.panel_of_particle[particle]],
             place=x[ends].mean(axis=0),
         )
 
     def patience(self, open_seams: bool) -> float:
         """How long movements may go without halving before a run to rest is given up [s]."""
-        if self.strain >= _FAR_TOO_TIGHT * self.limit:
+        times = times_the_limit(self.strain, self.limit)
+        if times >= _FAR_TOO_TIGHT:
             return _PATIENCE_WHEN_FAR_TOO_TIGHT
         if not open_seams:
             return _PATIENCE
-        return _PATIENCE_WHEN_TIGHT if self.strain >= _TIGHT * self.limit else _PATIENCE_WHEN_OPEN
+        return _PATIENCE_WHEN_TIGHT if times >= _TIGHT else _PATIENCE_WHEN_OPEN
 
     @property
     def why(self) -> str:
-        """Where a garment is too tight, the beginning of a line; empty below twice the limit."""
-        if self.strain < _TIGHT * self.limit:
+        """Where a garment is too tight, the beginning of a line; empty where it is not."""
+        if times_the_limit(self.strain, self.limit) < _TIGHT:
             return ""
         place = ", ".join(f"{value:.2f}" for value in self.place)
         return (
             f"too tight: panel '{self.panel}' at ({place}) m is stretched by {100 * self.strain:.0f} %, "
             f"{100 * self.limit:g} % is the fabric's limit; "
         )
+
+
+def times_the_limit(strain: float, limit: float) -> float:
+    """A strain as a multiple of a fabric's limit; of 5 % where that is less, as little as seams of any fabric pull."""
+    return strain / max(limit, _LEAST_LIMIT)
