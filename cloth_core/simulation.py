@@ -634,11 +634,12 @@ class Simulation:
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
         if self._seeking_rest and not at_rest:
-            tightness = Tightness.of(self.model, self._x)
-            if self._stall_watch.stalls(self.time, movement, tightness.patience(bool(self._seams.open_seams))):
+            tightness, still_open = Tightness.of(self.model, self._x), bool(self._seams.open_seams)
+            if self._stall_watch.stalls(self.time, movement, tightness.patience(still_open)):
                 stalled_for = self.time - self._stall_watch.since
-                restless = why_restless(self.scene.garment, self.model.number, self._x, self._rest, stalled_for)
-                self._stalled = tightness.why + restless
+                self._stalled = tightness.why(still_open) or why_restless(
+                    self.scene.garment, self.model.number, self._x, self._rest, stalled_for
+                )
         if self._seeking_rest and self._calming.active:
             if self._calming.ended(movement, allowed):
                 self._open_window()

@@ -65,15 +65,14 @@ class Tightness(NamedTuple):
             return _PATIENCE
         return _PATIENCE_WHEN_TIGHT if times >= _TIGHT else _PATIENCE_WHEN_OPEN
 
-    @property
-    def why(self) -> str:
-        """Where a garment is too tight, the beginning of a line; empty where it is not."""
-        if times_the_limit(self.strain, self.limit) < _TIGHT:
+    def why(self, open_seams: bool) -> str:
+        """One line that says where a garment is too tight to be waited for; empty where it is not."""
+        if self.patience(open_seams) >= _PATIENCE_WHEN_OPEN:
             return ""
         place = ", ".join(f"{value:.2f}" for value in self.place)
         return (
             f"too tight: panel '{self.panel}' at ({place}) m is stretched by {100 * self.strain:.0f} %, "
-            f"{100 * self.limit:g} % is the fabric's limit; "
+            f"{100 * self.limit:g} % is the fabric's limit, and it does not come to rest"
         )
 
 
