@@ -172,7 +172,8 @@ class SeamClosing:
         points, still_open = far_points(scene.garment.seams, x, scene.settings.merge_distance)
         limit = math.inf if "strain limit" in scene.without else scene.fabric.strain_limit
         stretch = times_the_limit(stretch_beside(scene.garment, points, x), limit)
-        return self._hope.lost(still_open, stretch, self._firmness, self._firmness >= _FIRMEST, time)
+        length = 0.5 * len(points) * scene.garment.spacing
+        return self._hope.lost(still_open, length, stretch, self._firmness, self._firmness >= _FIRMEST, time)
 
     def _pull_harder(self, model: Model) -> None:
         """What no longer gets nearer is pulled with a little more force from one look to the next."""

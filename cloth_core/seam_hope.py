@@ -26,8 +26,10 @@ _PATIENCE = 0.3
 # and before that only as long as the pull is less than so many times what it was when they last got nearer.
 _IN_VAIN = 1.9
 # Cloth beside them that is stretched by this many times the fabric's limit at so many looks running is too tight,
-# unless what is open became less by this share meanwhile.
+# unless what is open became less by this share meanwhile,
 _TOO_TIGHT, _LOOKS, _YIELDS = 2.0, 4, 0.2
+# or is no longer than this, all in all [m]: a few points may still slip past what holds them apart.
+_LONG = 0.2
 # A side is along warp or weft if it leaves it by less than this slope.
 _ALONG = 0.2
 
@@ -41,11 +43,12 @@ class SeamHope:
         self._hopeful_until = 0.0
         self._tight: list[float] = []
 
-    def lost(self, still_open: float, stretch: float, pull: float, full_pull: bool, time: float) -> bool:
+    def lost(self, still_open: float, length: float, stretch: float, pull: float, full_pull: bool, time: float) -> bool:
         """Whether the seams will not close any more; to be asked at each look.
 
         Args:
             still_open: gaps of all points that are too far apart to merge, added up [m].
+            length: of the seams that have such points, only as far as these go [m].
             stretch: of the cloth beside those points, as a multiple of the fabric's strain limit.
             pull: how hard the seams are pulled, as a multiple of what they were pulled with at first.
             full_pull: whether they are not pulled any harder.
@@ -56,7 +59,8 @@ class SeamHope:
         if still_open < (1.0 - _NEARER) * self._least or not full_pull:
             self._hopeful_until = time + _PATIENCE
         self._least = min(self._least, still_open)
-        self._tight = [*self._tight, still_open][-_LOOKS:] if stretch >= _TOO_TIGHT else []
+        is_tight = stretch >= _TOO_TIGHT and length > _LONG
+        self._tight = [*self._tight, still_open][-_LOOKS:] if is_tight else []
         if still_open <= 0.0:
             return False
         too_tight = len(self._tight) == _LOOKS and still_open > (1.0 - _YIELDS) * self._tight[0]

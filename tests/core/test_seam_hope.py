@@ -16,12 +16,12 @@ LOOK = 0.05  # s
 SIDES = [(("front", 1), ("back", 3)), (("front", 3), ("back", 1))]
 
 
-def lost_at(still_open, stretch=0.0, pull=1.0, full_pull=False) -> int | None:
+def lost_at(still_open, stretch=0.0, pull=1.0, full_pull=False, length=0.5) -> int | None:
     """Number of the look at which hope is lost; each argument for all looks or for each."""
     hope = SeamHope()
-    each = np.broadcast_arrays(still_open, stretch, pull, full_pull)
-    for k, (gap, strain, hard, full) in enumerate(zip(*(a.tolist() for a in each), strict=True)):
-        if hope.lost(gap, strain, hard, full, LOOK * k):
+    each = np.broadcast_arrays(still_open, length, stretch, pull, full_pull)
+    for k, (gap, long, strain, hard, full) in enumerate(zip(*(a.tolist() for a in each), strict=True)):
+        if hope.lost(gap, long, strain, hard, full, LOOK * k):
             return k
     return None
 
@@ -53,6 +53,7 @@ def test_cloth_stretched_by_twice_its_limit_is_too_tight_at_the_fourth_look():
     stays = np.full(10, 0.5)
     assert lost_at(stays, stretch=2.0) == 3
     assert lost_at(stays, stretch=1.9) is None
+    assert lost_at(stays, stretch=20.0, length=0.19) is None  # a few points may slip past what holds them
     assert lost_at(stays, stretch=[2.0, 2.0, 2.0, 1.0, 2.0, 2.0, 2.0, 1.0, 2.0, 2.0]) is None
 
 
