@@ -122,6 +122,11 @@ class SeamClosing:
         self._reasons = {s.name: _reason(scene, s, x) for s in scene.garment.seams if s.name in self.open_seams}
         return chosen
 
+    @property
+    def may_close(self) -> bool:
+        """Whether points of open seams still hold on to each other, to merge later."""
+        return any(bool(points.any()) for points in self._held)
+
     def why_open(self, scene: Scene, x: Floats) -> dict[str, str]:
         """One line for each seam that is open at x (n, 3) [m]: its gap, and what lay in it when the others merged."""
         gaps = seam_gaps(scene.garment, x)

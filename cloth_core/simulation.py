@@ -30,9 +30,9 @@ from cloth_core.seam_closing import SeamClosing, count_crossings
 from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH, SmoothWindows
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
-from cloth_core.support import why_unsupported
+from cloth_core.support import why_fallen, why_unsupported
 from cloth_core.switched_off import scene_without
-from cloth_core.tightness import Tightness
+from cloth_core.tightness import Tightness, TightnessWatch
 from cloth_core.travel_renewal import SPENT
 
 __all__ = ["Progress", "Simulation"]
@@ -139,7 +139,7 @@ class Simulation:
         self._has_settled = self._asleep = False
         self._time_not_stepped = 0.0
         self._seams = SeamClosing()
-        self._stall_watch = StallWatch()
+        self._stall_watch, self._tightness_watch = StallWatch(), TightnessWatch()
         self._stalled = ""
         self._failure = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
@@ -250,7 +250,7 @@ class Simulation:
     def _come_to_rest(self, on_tick: OnTick | None) -> str:
         """Run until the cloth lies still or there is no hope that it will; why it ended."""
         self._seeking_rest = True
-        self._stall_watch, self._stalled = StallWatch(), ""
+        self._stall_watch, self._tightness_watch, self._stalled = StallWatch(), TightnessWatch(), ""
         self._calming.active = True
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
@@ -634,12 +634,7 @@ class Simulation:
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
         if self._seeking_rest and not at_rest:
-            tightness, still_open = Tightness.of(self.model, self._x), bool(self._seams.open_seams)
-            if self._stall_watch.stalls(self.time, movement, tightness.patience(still_open)):
-                stalled_for = self.time - self._stall_watch.since
-                self._stalled = tightness.why(still_open) or why_restless(
-                    self.scene.garment, self.model.number, self._x, self._rest, stalled_for
-                )
+            self._stalled = self._why_hopeless(movement)
         if self._seeking_rest and self._calming.active:
             if self._calming.ended(movement, allowed):
                 self._open_window()
@@ -654,6 +649,19 @@ class Simulation:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
+
+    def _why_hopeless(self, movement: float) -> str:
+        """Why a run to rest whose last window moved something by that much [m] will not get there; empty if it may."""
+        tightness, still_open = Tightness.of(self.model, self._x), bool(self._seams.open_seams)
+        self._tightness_watch.look(tightness, movement)
+        patience = self._tightness_watch.patience(still_open, self._seams.may_close)
+        if not self._stall_watch.stalls(self.time, movement, patience):
+            return ""
+        number, x, since = self.model.number, self._x, self._stall_watch.since
+        fallen = why_fallen(self.scene, number, x, self._rest.farthest)
+        if fallen or self._tightness_watch.is_tight(still_open):
+            return fallen or tightness.line
+        return why_restless(self.scene.garment, number, x, self._rest, self.time - since)
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""

@@ -14,15 +14,19 @@ from numpy.typing import NDArray
 from cloth_core.model import Model
 from cloth_core.springs import SpringFamily, spring_strains
 
-__all__ = ["Tightness", "times_the_limit"]
+__all__ = ["Tightness", "TightnessWatch", "times_the_limit"]
 
 Floats = NDArray[np.float64]
 
-# A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
-_PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
-# The same for garments that are stretched by this many times the fabric's limit: with open seams, and with any.
-_TIGHT, _PATIENCE_WHEN_TIGHT = 1.5, 0.5
-_FAR_TOO_TIGHT, _PATIENCE_WHEN_FAR_TOO_TIGHT = 5.0, 0.3
+# Cloth that is stretched by this many times the fabric's limit, and goes no farther than so far in a window [m], is held
+# so: it does not swing, which stretches it for a moment as well.
+_FAR_TOO_TIGHT, _HELD = 5.0, 0.005
+# With seams that will stay open so many times are enough, whatever moves.
+_TIGHT = 1.5
+# It counts when it was so in so many windows running.
+_WINDOWS = 5
+# A run is given up when its movements have not halved in so long [s]; one whose seams stay open; and if it is tight too.
+_PATIENCE, _PATIENCE_WHEN_OPEN, _PATIENCE_WHEN_TIGHT = 6.0, 3.0, 0.5
 # Seams pull at least as hard as this stretch would, whatever the fabric's limit.
 _LEAST_LIMIT = 0.05
 
@@ -56,24 +60,47 @@ class Tightness(NamedTuple):
             place=x[ends].mean(axis=0),
         )
 
-    def patience(self, open_seams: bool) -> float:
-        """How long movements may go without halving before a run to rest is given up [s]."""
-        times = times_the_limit(self.strain, self.limit)
-        if times >= _FAR_TOO_TIGHT:
-            return _PATIENCE_WHEN_FAR_TOO_TIGHT
-        if not open_seams:
-            return _PATIENCE
-        return _PATIENCE_WHEN_TIGHT if times >= _TIGHT else _PATIENCE_WHEN_OPEN
-
-    def why(self, open_seams: bool) -> str:
-        """One line that says where a garment is too tight to be waited for; empty where it is not."""
-        if self.patience(open_seams) >= _PATIENCE_WHEN_OPEN:
-            return ""
+    @property
+    def line(self) -> str:
+        """Where a garment is too tight to come to rest, in one line."""
         place = ", ".join(f"{value:.2f}" for value in self.place)
         return (
             f"too tight: panel '{self.panel}' at ({place}) m is stretched by {100 * self.strain:.0f} %, "
             f"{100 * self.limit:g} % is the fabric's limit, and it does not come to rest"
         )
+
+
+class TightnessWatch:
+    """Watches how tight a garment is, window after window of a run to rest."""
+
+    def __init__(self) -> None:
+        self._held = self._tight = 0
+
+    def look(self, tightness: Tightness, movement: float) -> None:
+        """At the end of a window in which the farthest way of any particle was `movement` [m]."""
+        times = times_the_limit(tightness.strain, tightness.limit)
+        self._held = self._held + 1 if times >= _FAR_TOO_TIGHT and movement < _HELD else 0
+        self._tight = self._tight + 1 if times >= _TIGHT else 0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it is held so tight that waiting is of no use, all seams closed or not."""
+        return self._held >= _WINDOWS
+
+    def is_tight(self, open_seams: bool) -> bool:
+        """Whether it is too tight to be waited for as long as others; open_seams: some will stay open."""
+        return self.hopeless or (open_seams and self._tight >= _WINDOWS)
+
+    def patience(self, open_seams: bool, may_close: bool) -> float:
+        """How long movements may go without halving before a run is given up [s].
+
+        open_seams: whether some are open; may_close: whether any of those may still close.
+        """
+        if self.hopeless:
+            return 0.0
+        if not open_seams:
+            return _PATIENCE
+        return _PATIENCE_WHEN_TIGHT if self.is_tight(not may_close) else _PATIENCE_WHEN_OPEN
 
 
 def times_the_limit(strain: float, limit: float) -> float:

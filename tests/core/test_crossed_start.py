@@ -83,6 +83,10 @@ def test_cloth_that_starts_crossed_is_warned_about_with_its_panels(what):
         (found,) = [w for w in warnings if w.startswith(expected)]
         assert found.endswith("place the panels apart")
         assert "\n" not in found
+        if "cross" in what:  # a lies level at height 0, b upright across: both are there where y is anything
+            for place in found.split(" (")[1:]:
+                x, _, z = (float(value) for value in place.split(")")[0].split(","))
+                assert max(abs(x), abs(z)) <= 0.5 * SPACING + 0.005
 
 
 def test_start_that_does_not_cross_is_not_warned_about():
