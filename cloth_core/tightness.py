@@ -18,14 +18,14 @@ __all__ = ["Tightness", "TightnessWatch", "times_the_limit"]
 
 Floats = NDArray[np.float64]
 
-# Cloth that is stretched by this many times the fabric's limit, and goes no farther than so far in a window [m], is held
+# Cloth that is stretched by this many times the fabric's limit and moves no farther than this in a window [m] is held
 # so: it does not swing, which stretches it for a moment as well.
 _FAR_TOO_TIGHT, _HELD = 5.0, 0.005
 # With seams that will stay open so many times are enough, whatever moves.
 _TIGHT = 1.5
 # It counts when it was so in so many windows running.
 _WINDOWS = 5
-# A run is given up when its movements have not halved in so long [s]; one whose seams stay open; and if it is tight too.
+# A run is given up when its movements have not halved in so long [s]; one whose seams stay open; one that is tight too.
 _PATIENCE, _PATIENCE_WHEN_OPEN, _PATIENCE_WHEN_TIGHT = 6.0, 3.0, 0.5
 # Seams pull at least as hard as this stretch would, whatever the fabric's limit.
 _LEAST_LIMIT = 0.05
