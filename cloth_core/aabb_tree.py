@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.pair_list import doubled
 
 __all__ = ["AabbTree", "boxes_overlap", "build_tree", "overlapping_pairs", "refit_tree"]
 
@@ -158,9 +159,11 @@ def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 
     found = 0
     if body.triangle.shape[0] == 0 or cloth.triangle.shape[0] == 0:
         return found
-    stack = [(0, 0)]
-    while len(stack) > 0 and found <= most:
-        c, b = stack.pop()
+    stack = np.zeros((1024, 2), dtype=np.int32)
+    top = 1
+    while top > 0 and found <= most:
+        top -= 1
+        c, b = stack[top, 0], stack[top, 1]
         if not boxes_overlap(cloth, c, body, b):
             continue
         cloth_leaf, body_leaf = cloth.triangle[c] >= 0, body.triangle[b] >= 0
@@ -170,6 +173,8 @@ def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 
                 pairs[found, 1] = body.triangle[b]
             found += 1
             continue
+        if top + 2 > stack.shape[0]:
+            stack = doubled(stack)
         descend_cloth = body_leaf
         if not cloth_leaf and not body_leaf:  # the larger box first: fewer pairs than one tree down to its leaves
             cloth_size = 0.0
@@ -179,9 +184,10 @@ def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 
                 body_size = max(body_size, body.upper[b, k] - body.lower[b, k])
             descend_cloth = cloth_size >= body_size
         if descend_cloth:
-            stack.append((cloth.right[c], b))
-            stack.append((c + 1, b))
+            stack[top, 0], stack[top, 1] = cloth.right[c], b
+            stack[top + 1, 0], stack[top + 1, 1] = c + 1, b
         else:
-            stack.append((c, body.right[b]))
-            stack.append((c, b + 1))
+            stack[top, 0], stack[top, 1] = c, body.right[b]
+            stack[top + 1, 0], stack[top + 1, 1] = c, b + 1
+        top += 2
     return found

@@ -69,12 +69,8 @@ class VertexPlanes(NamedTuple):
     @classmethod
     def of(cls, particle_count: int, pairs: Ints, distance: Floats) -> VertexPlanes:
         """Planes still to be computed, from pairs (particle, body triangle), shape (k, 2), and their distances."""
-        order = np.argsort(pairs[:, 0], kind="stable")
-        start = np.searchsorted(pairs[order, 0], np.arange(particle_count + 1)).astype(np.int32)
         return cls(
-            start,
-            np.ascontiguousarray(pairs[order, 1]),
-            np.ascontiguousarray(distance[order]),
+            *_by_particle(particle_count, pairs, distance),
             plane_count=np.full(particle_count, -1, dtype=np.int32),
             normal=np.zeros((particle_count, _MOST_PLANES, 3)),
             gap=np.zeros((particle_count, _MOST_PLANES)),
@@ -86,12 +82,34 @@ class VertexPlanes(NamedTuple):
             is_armed=np.zeros(particle_count, dtype=np.bool_),
         )
 
+    @classmethod
+    def none(cls, particle_count: int) -> VertexPlanes:
+        """Where there is no body."""
+        return cls.of(particle_count, np.zeros((0, 2), dtype=np.int32), np.zeros(0))
+
     def arm_all(self) -> None:
         """Take all that has triangles within reach for what can come to the offset surface."""
         has = np.diff(self.start) > 0
         self.is_armed[:] = has
         self.armed_count[0] = has.sum()
         self.armed[: has.sum()] = np.flatnonzero(has)
+
+
+@kernel
+def _by_particle(particle_count: int, pairs: Ints, distance: Floats) -> tuple[Ints, Ints, Floats]:
+    """Start (n + 1,) of each particle's entries, in the order of pairs (k, 2); their triangles and distances (k,)."""
+    start = np.zeros(particle_count + 1, dtype=np.int32)
+    for pair in range(pairs.shape[0]):
+        start[pairs[pair, 0] + 1] += 1
+    for i in range(particle_count):
+        start[i + 1] += start[i]
+    place = start.copy()
+    triangle, sorted_distance = np.empty(pairs.shape[0], dtype=np.int32), np.empty(pairs.shape[0])
+    for pair in range(pairs.shape[0]):
+        i = pairs[pair, 0]
+        triangle[place[i]], sorted_distance[place[i]] = pairs[pair, 1], distance[pair]
+        place[i] += 1
+    return start, triangle, sorted_distance
 
 
 class BodyContact:

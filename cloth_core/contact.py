@@ -1,8 +1,8 @@
 """Contact of cloth with a body and with itself: nothing can pass through, at any speed and time step.
 
 *Broad phase* (rarely): traversals of the AABB trees find every vertex-triangle and edge-edge pair that can come into
-contact while no particle moves farther than its radius: what moves fast gets a large one and what hardly moves a small
-one, so that all are used up at about the same time. It is repeated when a particle has used up most of its radius.
+contact while no particle moves farther than its radius (`cloth_core.broad_phase`). It is repeated when one has
+used up most of its own.
 
 *Narrow phase* (more often): the distances of those candidates, and from them a bound on how far each particle may
 travel before the next narrow phase: less than its share of the distance to whatever it could hit, so that nothing can
@@ -21,11 +21,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
 from cloth_core.body_contact import BodyContact, VertexPlanes, arm, hold_vertices, vertex_body_gaps
+from cloth_core.broad_phase import BroadPhase
 from cloth_core.closest_points import point_triangle
 from cloth_core.kernel import kernel
-from cloth_core.mesh_topology import representatives
 from cloth_core.near_planes import (
     NEAR,
     NearPlanes,
@@ -52,8 +51,6 @@ from cloth_core.travel_renewal import (
     NO_TRAVEL,
     SPENT,
     Renewal,
-    enough_of_radius,
-    pairs_of_particles,
 )
 
 __all__ = [
@@ -67,14 +64,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# How far particles may move between two broad phases [m]: the fastest one, if nobody says otherwise, and one that does
-# not move at all.
+# How far the fastest particle may move between two broad phases, if nobody says otherwise [m].
 _RADIUS = 0.006
-_LEAST_RADIUS = 0.002
-# The radius becomes this much larger from one broad phase to the next while they find fewer pairs than this for each
-# particle, up to so many times, and smaller again when they find more than that.
-_WIDEN, _WIDEST = 1.5, 4.0
-_FEW_PAIRS, _MANY_PAIRS = 0.25, 1.0
 _NO_BODY = np.zeros((0, 3))
 
 
@@ -100,11 +91,9 @@ class ContactState(NamedTuple):
     @classmethod
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
-        return cls(np.zeros((0, 3)), np.zeros(0), _no_planes(0), PairContacts.none(), NearPlanes.none(), Renewal.none())
-
-
-def _no_planes(particles: int) -> VertexPlanes:
-    return VertexPlanes.of(particles, np.zeros((0, 2), np.int32), np.zeros(0))
+        return cls(
+            np.zeros((0, 3)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(), NearPlanes.none(), Renewal.none()
+        )
 
 
 class ContactSettings(NamedTuple):
@@ -137,7 +126,8 @@ class Contact:
         farthest: the same for those that have nothing near them but what is left out of the search [m].
 
     Attributes:
-        broad_phases, narrow_phases: how many there were.
+        broad: pairs that can come into contact for a while.
+        narrow_phases: how many there were.
     """
 
     def __init__(
@@ -151,19 +141,9 @@ class Contact:
         self.triangles = np.ascontiguousarray(triangles, dtype=np.int32)
         self.body = body
         self.cloth = cloth
-        self.radius = radius
-        self.farthest = radius if farthest is None else farthest
-        self._wider = 1.0
-        self.broad_phases = 0
+        self.broad = BroadPhase(self.triangles, body, cloth, radius, radius if farthest is None else farthest)
         self.narrow_phases = 0
-        self._representatives = representatives(self.triangles)
-        self._tree: AabbTree | None = None
-        self._broad_x = np.zeros((0, 3))
-        self._radii = np.zeros(0)
-        self._alone: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
-        self._broad_body_x = self._searched_body_x = _NO_BODY
-        self._planes = _no_planes(0)
-        self._pairs = PairContacts.none()
+        self._searched_body_x = _NO_BODY
         self._renewal = Renewal.none()
 
     def search(self, x: Floats, reach: float | Floats) -> ContactState:
@@ -178,97 +158,32 @@ class Contact:
             what was found; its renewal is not allowed until whoever runs the steps says how particles want to go.
         """
         wanted = np.ascontiguousarray(np.broadcast_to(reach, len(x)), dtype=np.float64)
-        due, way_of_body = len(self._broad_x) != len(x), 0.0
-        if not due:
-            way_of_body = self._way_of_body()
-            due, moved, left = _left_of_radius(x, self._broad_x, self._radii, way_of_body, wanted, self.radius)
-        if due:
-            # In proportion to how fast each moves, so that all are used up at about the same time.
-            least = min(_LEAST_RADIUS, self.radius)
-            radius = min(self._wider * self.radius, max(self.farthest, self.radius))
-            largest = radius if self.cloth is None else self.cloth.largest_radii(x, radius, self.farthest)
-            self._radii = least + (largest - least) * (wanted / wanted.max())
-            self._broad_phase(x)
-            way_of_body = 0.0
-            moved, left = np.zeros(len(x)), self._radii
-            found = len(self._pairs.kind)
-            if found < _FEW_PAIRS * len(x):
-                self._wider = min(self._wider * _WIDEN, _WIDEST)
-            elif found > _MANY_PAIRS * len(x):
-                self._wider = max(self._wider / _WIDEN, 1.0)
-        granted = np.where(self._alone, left, np.minimum(wanted, left))
+        broad = self.broad
+        searched, moved, left, way_of_body = broad.at(x, wanted)
+        planes, pairs = broad.planes, broad.pairs
+        if searched:
+            self._renewal = Renewal.none()._replace(
+                broad_x=broad.x, radii=broad.radii, radius=broad.radius, start=broad.start, entries=broad.entries,
+                place=np.empty(len(pairs.kind), dtype=np.int32), waiting=np.empty(len(x), dtype=np.int32),
+                turn=np.zeros(1, dtype=np.int32), renewed=np.zeros(len(x), dtype=np.int32),
+            )  # fmt: skip
+        granted = np.where(broad.alone, left, np.minimum(wanted, left))
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
         travel, near = _narrow_phase(
-            x, self._planes, self._pairs, body_x, body_triangles, moved, granted, self._renewal.place,
+            x, planes, pairs, body_x, body_triangles, moved, granted, self._renewal.place,
             self.body.offset if self.body is not None else 0.0,
         )  # fmt: skip
         self.narrow_phases += 1
         if body_x is not self._searched_body_x:
-            self._planes.plane_count[:] = -1
+            planes.plane_count[:] = -1
             self._searched_body_x = body_x
         renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
-        return ContactState(x.copy(), travel, self._planes, self._pairs, NearPlanes.of(near), renewal)
+        return ContactState(x.copy(), travel, planes, pairs, NearPlanes.of(near), renewal)
 
     def forget(self) -> None:
         """Let the next search be one with a broad phase."""
-        self._broad_x = np.zeros((0, 3))
-
-    def _broad_phase(self, x: Floats) -> None:
-        self.broad_phases += 1
-        self._planes = _no_planes(len(x))
-        parts: list[tuple[Ints, Floats, Floats]] = []
-        if self.body is not None:
-            if self._tree is None:
-                self._tree = build_tree(x, self.triangles)
-            refit_tree(self._tree, x, self.triangles, self.body.offset + self._radii)
-            self._planes, rows, offset, distance = self.body.candidates(
-                x, self.triangles, self._representatives, self._tree, self._radii
-            )
-            parts.append((rows, offset, distance))
-        if self.cloth is not None:
-            parts.append(self.cloth.candidates(x, self._radii))
-        pairs = PairContacts.none()
-        if parts:
-            rows, offset, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
-            pairs = PairContacts.of(rows, offset, distance)
-        start, entries = pairs_of_particles(pairs.particles, len(x))
-        # What is near nothing lengthens no list by how far it may go.
-        self._alone = (np.diff(self._planes.start) == 0) & (np.diff(start) == 0)
-        pairs.remember(self._pairs, start, entries)
-        self._pairs = pairs
-        self._broad_x = x.copy()
-        place, waiting = np.empty(len(pairs.kind), dtype=np.int32), np.empty(len(x), dtype=np.int32)
-        self._renewal = Renewal.none()._replace(
-            broad_x=self._broad_x, radii=self._radii, radius=self.radius, start=start, entries=entries, place=place,
-            waiting=waiting, turn=np.zeros(1, dtype=np.int32), renewed=np.zeros(len(x), dtype=np.int32),
-        )  # fmt: skip
-        if self.body is not None:
-            self._broad_body_x = self.body.body.vertices
-
-    def _way_of_body(self) -> float:
-        """Farthest that any vertex of the body has moved since the broad phase [m]."""
-        if self.body is None or self.body.body.vertices is self._broad_body_x:
-            return 0.0
-        return float(np.sqrt(((self.body.body.vertices - self._broad_body_x) ** 2).sum(axis=1).max()))
-
-
-@kernel
-def _left_of_radius(
-    x: Floats, broad_x: Floats, radii: Floats, way_of_body: float, wanted: Floats, radius: float
-) -> tuple[bool, Floats, Floats]:
-    """Whether any particle has too little left of its radius [m]; how far each has moved since the broad phase.
-
-    Shapes: x, broad_x (n, 3), radii, wanted (n,) [m]; radius is the largest one. Returns also moved and left (n,) [m].
-    """
-    moved, left = np.empty_like(radii), np.empty_like(radii)
-    short = 0
-    for i in range(radii.shape[0]):
-        dx, dy, dz = x[i, 0] - broad_x[i, 0], x[i, 1] - broad_x[i, 1], x[i, 2] - broad_x[i, 2]
-        moved[i] = np.sqrt(dx * dx + dy * dy + dz * dz) + way_of_body
-        left[i] = radii[i] - moved[i]
-        short += not enough_of_radius(left[i], wanted[i], radius)
-    return short > 0, moved, left
+        self.broad.forget()
 
 
 @kernel

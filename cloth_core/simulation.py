@@ -53,6 +53,8 @@ _IMPLICIT_STEP_ON_BODY = 1.0 / 500.0
 _CHECK_INTERVAL = 0.05
 # Steps that a particle can go on at its speed before contacts are searched again, and the least such way [m].
 _STEPS_PER_SEARCH = 30.0
+# Where more pairs than this for each particle have to be looked at in each step, so many steps: they lengthen the list.
+_CROWDED, _STEPS_IN_A_CROWD = 1.0, 12.0
 _LEAST_REACH = 0.001
 # Share of the structural stiffness with which a run that looks for rest sews; it grows to all of it in about this time
 # [s] once the seams have closed.
@@ -558,12 +560,14 @@ class Simulation:
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
         speed = np.sqrt((self._v**2).sum(axis=1))
-        reach = np.maximum(_STEPS_PER_SEARCH * self._dt * speed, _LEAST_REACH)
+        crowded = self._contacts.pairs.listed_count[0] > _CROWDED * len(speed)
+        steps = _STEPS_IN_A_CROWD if crowded else _STEPS_PER_SEARCH
+        reach = np.maximum(steps * self._dt * speed, _LEAST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
         least_room = _LEAST_ROOM * self.scene.settings.cloth_offset
         renewal = self._contacts.renewal._replace(
-            steps=_STEPS_PER_SEARCH, least_reach=_LEAST_REACH, least_room=least_room,
+            steps=steps, least_reach=_LEAST_REACH, least_room=least_room,
             # What is held goes its own way, and the bounds of what a moving body comes near are those of that moment.
             allowed=self._body_motion is None and not self.grasps,
         )  # fmt: skip

@@ -265,16 +265,16 @@ def test_candidates_are_kept_while_they_hold():
     simulation = Simulation(scene)
     contact = simulation.model.contact
     assert contact is not None
-    before = contact.broad_phases, contact.narrow_phases, simulation.steps
+    before = contact.broad.searches, contact.narrow_phases, simulation.steps
     simulation.advance(0.15)
-    moving = np.subtract((contact.broad_phases, contact.narrow_phases, simulation.steps), before)
+    moving = np.subtract((contact.broad.searches, contact.narrow_phases, simulation.steps), before)
     assert 0 < moving[0] < moving[1] < moving[2]
     # A fall of 10 cm, over radii of which half may be used up before it is worth searching anew.
-    assert moving[0] <= 2 * 0.1 / (0.5 * contact.radius)
+    assert moving[0] <= 2 * 0.1 / (0.5 * contact.broad.radius)
     assert simulation.settle().settled
-    before = contact.broad_phases, contact.narrow_phases
+    before = contact.broad.searches, contact.narrow_phases
     simulation.advance(0.3)
-    assert (contact.broad_phases, contact.narrow_phases) == before  # nothing at all at rest
+    assert (contact.broad.searches, contact.narrow_phases) == before  # nothing at all at rest
 
 
 def test_run_does_not_depend_on_when_candidates_were_searched(monkeypatch):
@@ -285,15 +285,15 @@ def test_run_does_not_depend_on_when_candidates_were_searched(monkeypatch):
     search = Contact.search
 
     def anew(self, x, reach):
-        self._broad_x = np.zeros((0, 3))
+        self.forget()
         return search(self, x, reach)
 
     monkeypatch.setattr(Contact, "search", anew)
     forced = dropped(0.4)
     assert forced.model.contact is not None
     assert kept.model.contact is not None
-    assert forced.model.contact.broad_phases == forced.model.contact.narrow_phases
-    assert kept.model.contact.broad_phases < kept.model.contact.narrow_phases
+    assert forced.model.contact.broad.searches == forced.model.contact.narrow_phases
+    assert kept.model.contact.broad.searches < kept.model.contact.narrow_phases
     step = math.sqrt(2 * 9.81 * 0.045) * kept.time_step
     assert step < 0.25 * OFFSET
     np.testing.assert_allclose(kept.positions, forced.positions, atol=0.1 * step)

@@ -216,13 +216,13 @@ def test_sheet_that_is_folded_over_itself_never_crosses(speed):
     assert contact is not None
     assert contact.cloth is not None
     assert contact.cloth.smooth is not None
-    assert len(contact._pairs.kind) == 0  # flat: nothing to search
+    assert len(contact.broad.pairs.kind) == 0  # flat: nothing to search
     most = 0
     while simulation.time < 0.6 / speed:
         simulation.tick()
         x, triangles = simulation.sewn_mesh()
         assert len(self_crossing_edges(x, triangles)) == 0
-        most = max(most, len(contact._pairs.kind))
+        most = max(most, len(contact.broad.pairs.kind))
     assert most > 0
     assert not contact.cloth.smooth.smooth.all()
 
@@ -256,8 +256,8 @@ def test_sheet_that_swings_without_folding_does_the_same_without_self_contact():
     for simulation in (searched, free):
         simulation.advance(0.3)
     assert searched.model.contact is not None
-    assert len(searched.model.contact._pairs.kind) < 10
-    assert searched.model.contact.broad_phases < 40
+    assert len(searched.model.contact.broad.pairs.kind) < 10
+    assert searched.model.contact.broad.searches < 40
     np.testing.assert_allclose(searched.positions, free.positions, atol=1e-3)
 
 

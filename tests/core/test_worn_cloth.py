@@ -112,11 +112,11 @@ RADIUS = 0.12
 CYLINDER = body_of(trimesh.creation.cylinder(RADIUS, 0.5, sections=48), move=[0, 0, 0.75])
 
 
-def skirt(around: float, body: Body, friction: float = 0.4, spacing: float = 0.04, height: float = 0.2) -> Scene:
-    """A tube of that circumference [m] around the body."""
+def skirt(around: float, body: Body, friction: float = 0.4, height: float = 0.2, longest: float = 8.0) -> Scene:
+    """A tube of that circumference [m] around the body, for at most so many seconds."""
     panels = pattern(tube(0.2, around / 2, height, 0.8), SIDES, name="tube")
     fabric = Fabric.preset("cotton_poplin", friction=friction)
-    return Scene.build(panels, body, fabric, settings=Settings(spacing=spacing, max_time=8.0))
+    return Scene.build(panels, body, fabric, settings=Settings(spacing=0.04, max_time=longest))
 
 
 def test_tight_tube_is_stretched_and_the_report_says_so():
@@ -157,7 +157,8 @@ def test_skirt_with_ease_slides_down_a_cylinder(friction):
 def test_the_same_skirt_is_held_by_a_cone(friction):
     cone = body_of(trimesh.creation.cone(0.25, 0.6, sections=48), move=[0, 0, 0.5])
     around = 1.1 * 2 * np.pi * RADIUS
-    simulation, report = settled_without_crossing(skirt(around, cone, friction))
+    # Without friction only the air stops it from turning about the cone: 3 to 11 s, by the rounding of its start.
+    simulation, report = settled_without_crossing(skirt(around, cone, friction, longest=30.0))
     assert report.settled
     assert report.self_intersections == 0
     # Its upper rim is where the cone has its girth: 0.25 m in radius at z = 0.5, none at 1.1. Slack cloth hangs lower.
