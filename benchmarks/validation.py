@@ -383,11 +383,11 @@ What to read from it:
 - Bands: each preset is in that of its class, from all three starts, at both spacings. Those of silk, poplin and denim
   are chosen by this test among the figures that are published for cloth of their kind and weight:
   2 uN m for silk, typical of all cloth below 60 g/m² (second row), makes its bending length that of the wool, and it
-  drapes like wool then, whatever its shear stiffness: at 10 mm with 11, 17, 22 and 30 N/m 42 - 46, 41 - 47, 42 - 47 and
-  41 - 45 %; with the limpest twentieth of 618 fabrics, 1.1 uN m, it drapes as its class does. Poplin with the 11.57 uN m
-  of the broadcloth ends at 57 - 60 % (60 - 64 at 6 mm), with the median of the 618, 13.9 uN m, where cotton does, of
-  which hysteresis has its part. Denim with 64 uN m, typical over 400 g/m², ends at 69.5 % (70 - 73 at 6 mm), with 80 in
-  its band.
+  drapes like wool then, whatever its shear stiffness: at 10 mm with 11, 17, 22 and 30 N/m 42 - 46, 41 - 47, 42 - 47
+  and 41 - 45 %; with the limpest twentieth of 618 fabrics, 1.1 uN m, it drapes as its class does. Poplin with the
+  11.57 uN m of the broadcloth ends at 57 - 60 % (60 - 64 at 6 mm), with the median of the 618, 13.9 uN m, where cotton
+  does, of which hysteresis has its part. Denim with 64 uN m, typical over 400 g/m², ends at 69.5 % (70 - 73 at 6 mm),
+  with 80 in its band.
 - Each fold more or less changes the coefficient by some per cent; how many there are depends on the 0.1 mm of
   unevenness from which they grow.
 """

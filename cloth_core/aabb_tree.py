@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.pair_list import doubled
 
-__all__ = ["AabbTree", "boxes_overlap", "build_tree", "overlapping_pairs", "refit_tree"]
+__all__ = ["DEPTH", "AabbTree", "boxes_overlap", "build_tree", "next_leaf", "overlapping_pairs", "refit_tree"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -146,6 +146,35 @@ def boxes_overlap(one: AabbTree, i: int, other: AabbTree, j: int) -> bool:
         and one.lower[i, 2] <= other.upper[j, 2]
         and other.lower[j, 2] <= one.upper[i, 2]
     )
+
+
+# Room for the nodes that wait in a descent: trees are balanced, 22 levels hold two million triangles, and a level adds
+# one entry.
+DEPTH = 128
+
+
+@inlined_kernel
+def next_leaf(tree: AabbTree, low: Floats, high: Floats, waiting: Ints, count: int) -> tuple[int, int]:
+    """Descend to the next triangle whose box overlaps that of low, high (3,), -1 if there is none.
+
+    The nodes that wait are waiting[:count], with room for DEPTH; a descent begins with the root, 0, alone. Returns also
+    how many wait then.
+    """
+    found = -1
+    while found < 0 and count > 0:
+        count -= 1
+        node = waiting[count]
+        apart = False
+        for k in range(3):
+            apart = apart or tree.lower[node, k] > high[k] or low[k] > tree.upper[node, k]
+        if apart:
+            continue
+        found = tree.triangle[node]
+        if found < 0:
+            waiting[count] = tree.right[node]
+            waiting[count + 1] = node + 1
+            count += 2
+    return found, count
 
 
 @kernel

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree
+from cloth_core.aabb_tree import DEPTH, AabbTree, next_leaf
 from cloth_core.body import Body
 from cloth_core.garment import Seam
 from cloth_core.intersections import segment_crosses
@@ -67,8 +67,7 @@ def _blocked(
 ) -> tuple[int, int]:
     """Lines that cross a triangle, `most` if there are more or tests run out, and the tests that were made."""
     blocked, tests = 0, 0
-    # Trees are balanced: 22 levels hold two million triangles, and a level adds one entry.
-    stack = np.zeros(128, dtype=np.int32)
+    waiting = np.zeros(DEPTH, dtype=np.int32)
     low, high = np.zeros(3), np.zeros(3)
     if tree.triangle.shape[0] == 0:
         return 0, 0
@@ -78,22 +77,9 @@ def _blocked(
         p, q = x[lines[line, 0]], x[lines[line, 1]]
         for k in range(3):
             low[k], high[k] = min(p[k], q[k]), max(p[k], q[k])
-        top = 1
-        stack[0] = 0
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            apart = False
-            for k in range(3):
-                apart = apart or tree.lower[node, k] > high[k] or low[k] > tree.upper[node, k]
-            if apart:
-                continue
-            t = tree.triangle[node]
-            if t < 0:
-                stack[top] = tree.right[node]
-                stack[top + 1] = node + 1
-                top += 2
-                continue
+        waiting[0] = 0
+        t, count = next_leaf(tree, low, high, waiting, 1)
+        while t >= 0:
             if tests == tests_left:
                 return most, tests
             tests += 1
@@ -101,4 +87,5 @@ def _blocked(
             if segment_crosses(p, q, vertices[a], vertices[b], vertices[c]):
                 blocked += 1
                 break
+            t, count = next_leaf(tree, low, high, waiting, count)
     return blocked, tests

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cloth_core.aabb_tree import AabbTree, overlapping_pairs
 from cloth_core.body import Body
 from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
-from cloth_core.closest_points import point_triangle
+from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.errors import SceneError
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
@@ -319,9 +319,7 @@ def _renew_planes(
             clear = min(clear, squared)
             continue
         distance = np.sqrt(squared)
-        nx = (x[i, 0] - u * body_x[a, 0] - v * body_x[b, 0] - w * body_x[c, 0]) / distance
-        ny = (x[i, 1] - u * body_x[a, 1] - v * body_x[b, 1] - w * body_x[c, 1]) / distance
-        nz = (x[i, 2] - u * body_x[a, 2] - v * body_x[b, 2] - w * body_x[c, 2]) / distance
+        nx, ny, nz = away_from_triangle(x[i], body_x[a], body_x[b], body_x[c], u, v, w, distance)
         gap = distance - offset
         slot = -1
         for k in range(count):

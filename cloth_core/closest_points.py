@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cloth_core.kernel import inlined_kernel, kernel
 
-__all__ = ["point_triangle", "segment_segment"]
+__all__ = ["away_from_triangle", "point_triangle", "segment_segment"]
 
 Floats = NDArray[np.float64]
 
@@ -109,3 +109,14 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
         return _nearest_side(p, a, b, c)
     v, w = vb / whole, vc / whole
     return _squared(apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz), 1.0 - v - w, v, w
+
+
+@inlined_kernel
+def away_from_triangle(
+    p: Floats, a: Floats, b: Floats, c: Floats, u: float, v: float, w: float, distance: float
+) -> tuple[float, float, float]:
+    """Unit vector to p from the point of triangle abc with these barycentric coordinates, so far away [m]; all (3,)."""
+    nx = (p[0] - u * a[0] - v * b[0] - w * c[0]) / distance
+    ny = (p[1] - u * a[1] - v * b[1] - w * c[1]) / distance
+    nz = (p[2] - u * a[2] - v * b[2] - w * c[2]) / distance
+    return nx, ny, nz

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from cloth_core.body_contact import BodyContact, VertexPlanes, arm, hold_vertices, vertex_body_gaps
 from cloth_core.broad_phase import BroadPhase
-from cloth_core.closest_points import point_triangle
+from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.kernel import kernel
 from cloth_core.near_planes import (
     NEAR,
@@ -282,9 +282,7 @@ def _near_body(
         if room < 0.0:
             gap = min(gap, distance)
             continue
-        nx = (x[i, 0] - u * body_x[a, 0] - w * body_x[b, 0] - z * body_x[c, 0]) / distance
-        ny = (x[i, 1] - u * body_x[a, 1] - w * body_x[b, 1] - z * body_x[c, 1]) / distance
-        nz = (x[i, 2] - u * body_x[a, 2] - w * body_x[b, 2] - z * body_x[c, 2]) / distance
+        nx, ny, nz = away_from_triangle(x[i], body_x[a], body_x[b], body_x[c], u, w, z, distance)
         near = add_plane(near, count, i, nx, ny, nz, room)
         count += 1
     return gap, near, count

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree, build_tree
+from cloth_core.aabb_tree import DEPTH, AabbTree, build_tree, next_leaf
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
 from cloth_core.orientation import orientation
@@ -108,8 +108,7 @@ def _edges_through(
     """
     crossed, crossed_count = np.empty((64, 2), dtype=np.int32), 0
     touched, touched_count = np.empty((64, 4), dtype=np.int32), 0
-    # Trees are balanced: 22 levels hold two million triangles, and a level adds one entry.
-    stack = np.zeros(128, dtype=np.int32)
+    waiting = np.zeros(DEPTH, dtype=np.int32)
     low, high = np.zeros(3), np.zeros(3)
     same_mesh = number.shape[0] > 0
     for e in range(edges.shape[0]):
@@ -119,23 +118,12 @@ def _edges_through(
         p, q = x[i], x[j]
         for k in range(3):
             low[k], high[k] = min(p[k], q[k]), max(p[k], q[k])
-        top = 1
-        stack[0] = 0
-        while top > 0:
-            top -= 1
-            node = stack[top]
-            apart = False
-            for k in range(3):
-                apart = apart or tree.lower[node, k] > high[k] or low[k] > tree.upper[node, k]
-            if apart:
-                continue
-            t = tree.triangle[node]
-            if t < 0:
-                stack[top] = tree.right[node]
-                stack[top + 1] = node + 1
-                top += 2
-                continue
-            a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        waiting[0] = 0
+        t, count = next_leaf(tree, low, high, waiting, 1)
+        while t >= 0:
+            here = t
+            t, count = next_leaf(tree, low, high, waiting, count)
+            a, b, c = triangles[here, 0], triangles[here, 1], triangles[here, 2]
             if same_mesh:
                 shared = False
                 for corner in (number[a], number[b], number[c]):
@@ -150,13 +138,13 @@ def _edges_through(
                 if crossed_count == crossed.shape[0]:
                     crossed = doubled(crossed)
                 crossed[crossed_count, 0] = e
-                crossed[crossed_count, 1] = t
+                crossed[crossed_count, 1] = here
                 crossed_count += 1
             else:
                 if touched_count == touched.shape[0]:
                     touched = doubled(touched)
                 touched[touched_count, 0] = e
-                touched[touched_count, 1] = t
+                touched[touched_count, 1] = here
                 touched[touched_count, 2] = 0 if above == 0 else 1
                 touched[touched_count, 3] = above + below
                 touched_count += 1

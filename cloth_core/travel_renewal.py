@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body_contact import arm
-from cloth_core.closest_points import point_triangle
+from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
@@ -211,9 +211,7 @@ def _renew(
         if room < 0.0:
             travel = min(travel, distance)
             continue
-        nx = (x[p, 0] - wa * body_x[a, 0] - wb * body_x[b, 0] - wc * body_x[c, 0]) / distance
-        ny = (x[p, 1] - wa * body_x[a, 1] - wb * body_x[b, 1] - wc * body_x[c, 1]) / distance
-        nz = (x[p, 2] - wa * body_x[a, 2] - wb * body_x[b, 2] - wc * body_x[c, 2]) / distance
+        nx, ny, nz = away_from_triangle(x[p], body_x[a], body_x[b], body_x[c], wa, wb, wc, distance)
         if not put_plane(state.near, p, nx, ny, nz, room):
             return -1
     travel = min(BODY_TRAVEL * travel, granted)
