@@ -657,7 +657,7 @@ class Simulation:
     def _why_hopeless(self, movement: float) -> str:
         """Why a run to rest whose last window moved something by that much [m] will not get there; empty if it may."""
         tightness, still_open = Tightness.of(self.model, self._x), bool(self._seams.open_seams)
-        self._tightness_watch.look(tightness, movement)
+        self._tightness_watch.look(tightness)
         patience = self._tightness_watch.patience(still_open, self._seams.may_close)
         if not self._stall_watch.stalls(self.time, movement, patience):
             return ""

@@ -18,10 +18,7 @@ __all__ = ["Tightness", "TightnessWatch", "times_the_limit"]
 
 Floats = NDArray[np.float64]
 
-# Cloth that is stretched by this many times the fabric's limit and moves no farther than this in a window [m] is held
-# so: it does not swing, which stretches it for a moment as well.
-_FAR_TOO_TIGHT, _HELD = 5.0, 0.005
-# With seams that will stay open so many times are enough, whatever moves.
+# Cloth that is stretched by this many times the fabric's limit is too tight, if seams stay open for it.
 _TIGHT = 1.5
 # It counts when it was so in so many windows running.
 _WINDOWS = 5
@@ -74,30 +71,25 @@ class TightnessWatch:
     """Watches how tight a garment is, window after window of a run to rest."""
 
     def __init__(self) -> None:
-        self._held = self._tight = 0
+        self._tight = 0
 
-    def look(self, tightness: Tightness, movement: float) -> None:
-        """At the end of a window in which the farthest way of any particle was `movement` [m]."""
-        times = times_the_limit(tightness.strain, tightness.limit)
-        self._held = self._held + 1 if times >= _FAR_TOO_TIGHT and movement < _HELD else 0
-        self._tight = self._tight + 1 if times >= _TIGHT else 0
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether it is held so tight that waiting is of no use, all seams closed or not."""
-        return self._held >= _WINDOWS
+    def look(self, tightness: Tightness) -> None:
+        """At the end of a window."""
+        tight = times_the_limit(tightness.strain, tightness.limit) >= _TIGHT
+        self._tight = self._tight + 1 if tight else 0
 
     def is_tight(self, open_seams: bool) -> bool:
-        """Whether it is too tight to be waited for as long as others; open_seams: some will stay open."""
-        return self.hopeless or (open_seams and self._tight >= _WINDOWS)
+        """Whether it is too tight to be waited for as long as others; open_seams: some will stay open.
+
+        With all seams closed it may still find its way: points that are stretched by a third have come to rest.
+        """
+        return open_seams and self._tight >= _WINDOWS
 
     def patience(self, open_seams: bool, may_close: bool) -> float:
         """How long movements may go without halving before a run is given up [s].
 
         open_seams: whether some are open; may_close: whether any of those may still close.
         """
-        if self.hopeless:
-            return 0.0
         if not open_seams:
             return _PATIENCE
         return _PATIENCE_WHEN_TIGHT if self.is_tight(not may_close) else _PATIENCE_WHEN_OPEN
