@@ -1,20 +1,23 @@
-"""Cloth that passes through itself where it starts: contact cannot part it any more, so that it must be named."""
+"""Cloth that passes through itself or through the body where it starts: contact cannot part it any more."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.body import Body
 from cloth_core.garment import Garment
-from cloth_core.intersections import self_crossing_pairs
+from cloth_core.intersections import crossing_edges, self_crossing_pairs
 
-__all__ = ["crossed_start_warnings", "crossing_at_start"]
+__all__ = ["body_start_warnings", "crossed_start_warnings", "crossing_at_start"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Flat to this share of its size a panel counts as plane.
 _PLANE = 1e-9
+# What crosses nearer to each other than this is one place [m]; so many are named.
+_PLACE, _NAMED = 0.1, 3
 
 
 def crossing_at_start(garment: Garment) -> Ints:
@@ -37,12 +40,57 @@ def crossed_start_warnings(garment: Garment) -> tuple[str, ...]:
     sides = crossing_at_start(garment)
     if len(sides) == 0:
         return ()
-    names = [garment.panel_names[k] for k in np.unique(garment.panel_of_particle[sides[:, 0]])]
-    shown = ", ".join(f"'{name}'" for name in names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     return (
-        f"garment '{garment.name}': {len(sides)} sides of panel {shown} pass through the cloth where it starts; what "
-        "crosses stays where it is, and no more will cross; place the panels apart",
+        f"garment '{garment.name}': {len(sides)} sides of panel {_panels_of(garment, sides)} pass through the cloth "
+        f"where it starts; what crosses, {_places_of(garment, sides)}, stays where it is, and no more will cross; "
+        "place the panels apart",
     )
+
+
+def body_start_warnings(garment: Garment, body: Body) -> tuple[str, ...]:
+    """One line if sides of the cloth pass through the body at its start or panels are inside of it, none else.
+
+    Patterns that are placed around a body start clear of it; a start given by hand may not.
+    """
+    sides = crossing_edges(garment.start, garment.triangles, body.vertices, body.triangles, body.tree)
+    # A panel that nothing crosses is as a whole where one of its points is.
+    crossed = np.unique(garment.panel_of_particle[sides[:, 0]])
+    whole = [k for k in range(len(garment.panel_names)) if k not in crossed]
+    first = [int(np.flatnonzero(garment.panel_of_particle == k)[0]) for k in whole]
+    inside = [k for k, w in zip(whole, body.winding_number(garment.start[first]), strict=True) if w > 0.5]
+    lines = []
+    if len(sides):
+        lines.append(
+            f"garment '{garment.name}': {len(sides)} sides of panel {_panels_of(garment, sides)} pass through body "
+            f"'{body.name}' where it starts, {_places_of(garment, sides)}; they stay there, and no more will; place "
+            "the garment clear of the body"
+        )
+    if inside:
+        lines.append(
+            f"garment '{garment.name}': panel {_named(garment, inside)} starts inside body '{body.name}' and stays "
+            "there; place the garment clear of the body"
+        )
+    return tuple(lines)
+
+
+def _panels_of(garment: Garment, sides: Ints) -> str:
+    return _named(garment, np.unique(garment.panel_of_particle[sides[:, 0]]).tolist())
+
+
+def _named(garment: Garment, panels: list[int]) -> str:
+    shown = ", ".join(f"'{garment.panel_names[k]}'" for k in panels[:_NAMED])
+    return shown + (f" and {len(panels) - _NAMED} more" if len(panels) > _NAMED else "")
+
+
+def _places_of(garment: Garment, sides: Ints) -> str:
+    """Where some sides are at the start: a few of their middles, no two of which are near each other."""
+    left = garment.start[sides].mean(axis=1)
+    places = []
+    while len(left):
+        places.append(left[np.argmin(np.linalg.norm(left - left.mean(axis=0), axis=1))])
+        left = left[np.linalg.norm(left - places[-1], axis=1) > _PLACE]
+    shown = ", ".join(f"({', '.join(f'{value:.2f}' for value in place)}) m" for place in places[:_NAMED])
+    return f"at {shown}" + (f" and {len(places) - _NAMED} more places" if len(places) > _NAMED else "")
 
 
 def _plane_panels(garment: Garment) -> NDArray[np.bool_]:

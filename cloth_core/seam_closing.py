@@ -15,7 +15,9 @@ from cloth_core.model import Model
 from cloth_core.nudging import nudged_apart
 from cloth_core.scene import Scene
 from cloth_core.seam_gaps import seam_gap_triangles
+from cloth_core.seam_hope import SeamHope, far_points, stretch_beside
 from cloth_core.sewing import seam_gaps
+from cloth_core.tightness import times_the_limit
 
 __all__ = ["SeamClosing", "count_crossings"]
 
@@ -31,9 +33,6 @@ _STALLED = 0.9
 _HELD, _LATER, _SINGLY = 1.5, 0.2, 12
 # The largest force of the pull is multiplied by this at each look at which nothing has got narrower, up to this in all.
 _FIRMER, _FIRMEST = 1.25, 8.0
-# Once they are pulled as hard as may be, and have come no nearer by this share, all in all, for so long [s], the seams
-# are given up before the sewing time is over: what holds them open, a limb or too little cloth, will not go away.
-_NEARER, _PATIENCE = 0.02, 0.3
 # Times that points around what would cross are left out, before a limit is given up; and limits that are tried, from
 # the distance at which points may merge down to where seams count as closed.
 _ROUNDS = 12
@@ -44,8 +43,6 @@ _NUDGES = 3
 _WAIT = 0.3
 # Cloth that is stretched by this share of the fabric's limit is tight.
 _TIGHT = 0.8
-# A side is along warp or weft if it leaves it by less than this slope.
-_ALONG = 0.2
 # Points of which other places are tried when they merge.
 _PLACES = 40
 
@@ -69,8 +66,7 @@ class SeamClosing:
         self._held: list[Bools] = []
         self._held_until = math.inf
         self._reasons: dict[str, str] = {}
-        self._least_open = math.inf
-        self._hopeful_until = 0.0
+        self._hope = SeamHope()
 
     def merged(self, scene: Scene, model: Model, x: Floats, time: float, sewn_for: float) -> Model | None:
         """The model in which the seams are merged, point by point; None as long as they shall go on closing.
@@ -126,6 +122,11 @@ class SeamClosing:
         self._reasons = {s.name: _reason(scene, s, x) for s in scene.garment.seams if s.name in self.open_seams}
         return chosen
 
+    @property
+    def may_close(self) -> bool:
+        """Whether points of open seams still hold on to each other, to merge later."""
+        return any(bool(points.any()) for points in self._held)
+
     def why_open(self, scene: Scene, x: Floats) -> dict[str, str]:
         """One line for each seam that is open at x (n, 3) [m]: its gap, and what lay in it when the others merged."""
         gaps = seam_gaps(scene.garment, x)
@@ -172,14 +173,12 @@ class SeamClosing:
         return chosen
 
     def _given_up(self, scene: Scene, x: Floats, time: float) -> bool:
-        """Whether what is too far apart to merge has come no nearer for a while, however hard it was pulled."""
-        limit = scene.settings.merge_distance
-        gaps = np.concatenate([np.linalg.norm(x[s.first] - x[s.second], axis=1) for s in scene.garment.seams])
-        still_open = float(gaps[gaps > limit].sum())
-        if still_open < (1.0 - _NEARER) * self._least_open or self._firmness < _FIRMEST:
-            self._hopeful_until = time + _PATIENCE
-        self._least_open = min(self._least_open, still_open)
-        return still_open > 0.0 and time >= self._hopeful_until
+        """Whether what is too far apart to merge will not get any nearer."""
+        points, still_open = far_points(scene.garment.seams, x, scene.settings.merge_distance)
+        limit = math.inf if "strain limit" in scene.without else scene.fabric.strain_limit
+        stretch = times_the_limit(stretch_beside(scene.garment, points, x), limit)
+        length = 0.5 * len(points) * scene.garment.spacing
+        return self._hope.lost(still_open, length, stretch, self._firmness, self._firmness >= _FIRMEST, time)
 
     def _pull_harder(self, model: Model) -> None:
         """What no longer gets nearer is pulled with a little more force from one look to the next."""
@@ -223,25 +222,13 @@ def _reason(scene: Scene, seam: Seam, x: Floats) -> str:
     if not len(points):
         return "cloth lies in it"
     widest = seam.first[np.argmax(np.linalg.norm(x[seam.first] - x[seam.second], axis=1))]
-    stretch = _stretch_beside(scene, points, x)
+    stretch = stretch_beside(scene.garment, points, x)
     if stretch >= _TIGHT * scene.fabric.strain_limit:
         return (
             f"the cloth beside it at {_place(x[widest])} is stretched by {100 * stretch:.0f} %: too tight there, or "
             "cloth lies in it"
         )
     return f"cloth lies in it at {_place(x[widest])}, or what is sewn there pulls it apart"
-
-
-def _stretch_beside(scene: Scene, points: Ints, x: Floats) -> float:
-    """Largest stretch along warp and weft of the cloth around some points."""
-    garment = scene.garment
-    triangles = garment.triangles[np.isin(garment.triangles, points).any(axis=1)]
-    sides = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    way = np.abs(garment.rest[sides[:, 0]] - garment.rest[sides[:, 1]])
-    sides, way = (each[way.min(axis=1) < _ALONG * way.max(axis=1)] for each in (sides, way))
-    rest = np.linalg.norm(way, axis=1)
-    length = np.linalg.norm(x[sides[:, 0]] - x[sides[:, 1]], axis=1)
-    return float((length / rest - 1.0).max(initial=0.0))
 
 
 def _place(point: Floats) -> str:

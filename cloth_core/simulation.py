@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cloth_core.calming import Calming, limit_speed
 from cloth_core.coarse_start import Interpolation, interpolation_between, pushed_out_of_body
 from cloth_core.contact import ContactSettings, ContactState
+from cloth_core.crossed_start import body_start_warnings
 from cloth_core.errors import ClothError, SceneError, SimulationError
 from cloth_core.grasp import Grasps, Pose
 from cloth_core.implicit_matrix import build_matrix
@@ -29,8 +30,9 @@ from cloth_core.seam_closing import SeamClosing, count_crossings
 from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH, SmoothWindows
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
-from cloth_core.support import why_unsupported
+from cloth_core.support import why_fallen, why_unsupported
 from cloth_core.switched_off import scene_without
+from cloth_core.tightness import Tightness, TightnessWatch
 from cloth_core.travel_renewal import SPENT
 
 __all__ = ["Progress", "Simulation"]
@@ -63,8 +65,6 @@ _COARSER = 2.0
 _COARSEST = 0.04
 # Air drag while seams close [1/s].
 _SEWING_DRAG = 10.0
-# A run is given up when its movements have not halved in so long [s]; and one whose seams stay open.
-_PATIENCE, _PATIENCE_WHEN_OPEN = 6.0, 3.0
 # What touches may go this share of the distance between layers in a step, however little room it has.
 _LEAST_ROOM = 0.1
 # A run that has come to rest is no longer stepped when nothing moves farther than this in a window [m].
@@ -134,12 +134,14 @@ class Simulation:
         self.settled = False
         self._searches = 0
         self._warnings: list[str] = []
+        if scene.body is not None and not scene.worn:  # what patterns are made into is placed clear of it
+            self._warnings += body_start_warnings(scene.garment, scene.body)
         self._seeking_rest = False
         self._calming = Calming()
         self._has_settled = self._asleep = False
         self._time_not_stepped = 0.0
         self._seams = SeamClosing()
-        self._stall_watch = StallWatch()
+        self._stall_watch, self._tightness_watch = StallWatch(), TightnessWatch()
         self._stalled = ""
         self._failure = ""
         self._coarse: tuple[Simulation, Interpolation] | None = None
@@ -250,7 +252,7 @@ class Simulation:
     def _come_to_rest(self, on_tick: OnTick | None) -> str:
         """Run until the cloth lies still or there is no hope that it will; why it ended."""
         self._seeking_rest = True
-        self._stall_watch, self._stalled = StallWatch(), ""
+        self._stall_watch, self._tightness_watch, self._stalled = StallWatch(), TightnessWatch(), ""
         self._calming.active = True
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
@@ -635,10 +637,8 @@ class Simulation:
         at_rest = self._rest.at_rest(self.time, self._x)
         movement = self._rest.movement or 0.0
         allowed = self.scene.settings.rest_displacement
-        patience = _PATIENCE_WHEN_OPEN if self._seams.open_seams else _PATIENCE
-        if self._seeking_rest and not at_rest and self._stall_watch.stalls(self.time, movement, patience):
-            stalled_for = self.time - self._stall_watch.since
-            self._stalled = why_restless(self.scene.garment, self.model.number, self._x, self._rest, stalled_for)
+        if self._seeking_rest and not at_rest:
+            self._stalled = self._why_hopeless(movement)
         if self._seeking_rest and self._calming.active:
             if self._calming.ended(movement, allowed):
                 self._open_window()
@@ -653,6 +653,19 @@ class Simulation:
             self.phase = REST
         elif self.phase == REST:
             self.phase = DRAPING
+
+    def _why_hopeless(self, movement: float) -> str:
+        """Why a run to rest whose last window moved something by that much [m] will not get there; empty if it may."""
+        tightness, still_open = Tightness.of(self.model, self._x), bool(self._seams.open_seams)
+        self._tightness_watch.look(tightness)
+        patience = self._tightness_watch.patience(still_open, self._seams.may_close)
+        if not self._stall_watch.stalls(self.time, movement, patience):
+            return ""
+        number, x, since = self.model.number, self._x, self._stall_watch.since
+        fallen = why_fallen(self.scene, number, x, self._rest.farthest)
+        if fallen or self._tightness_watch.is_tight(still_open):
+            return fallen or tightness.line
+        return why_restless(self.scene.garment, number, x, self._rest, self.time - since)
 
     def _stiffen(self) -> None:
         """A little more of the true stiffness."""

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from cloth_core.scene import Scene
 
-__all__ = ["why_unsupported"]
+__all__ = ["why_fallen", "why_unsupported"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
 
 # Cloth has fallen past a body when all of it is lower than the body by this [m].
 _PAST = 0.05
@@ -24,3 +25,17 @@ def why_unsupported(scene: Scene, x: Floats) -> str | None:
     if float(x[:, 2].max()) < float(scene.body.vertices[:, 2].min()) - _PAST:
         return "not supported by the body: it has fallen past it"
     return None
+
+
+def why_fallen(scene: Scene, number: Ints, x: Floats, particle: int) -> str:
+    """One line if a particle of x (k, 3) [m] is of a part that has fallen past the body, empty else; number as `Model`.
+
+    The rest of the garment may hang well: a part that is sewn to nothing, a pocket for example, comes off by itself.
+    """
+    if scene.body is None or not any(scene.gravity):
+        return ""
+    if float(x[particle, 2]) >= float(scene.body.vertices[:, 2].min()) - _PAST:
+        return ""
+    garment = scene.garment
+    panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == particle)[0])]]
+    return f"panel '{panel}' is not supported by the body: it has fallen past it; sew it to what it belongs to"

@@ -83,6 +83,10 @@ def test_cloth_that_starts_crossed_is_warned_about_with_its_panels(what):
         (found,) = [w for w in warnings if w.startswith(expected)]
         assert found.endswith("place the panels apart")
         assert "\n" not in found
+        if "cross" in what:  # a lies level at height 0, b upright across: both are there where y is anything
+            for place in found.split(" (")[1:]:
+                x, _, z = (float(value) for value in place.split(")")[0].split(","))
+                assert max(abs(x), abs(z)) <= 0.5 * SPACING + 0.005
 
 
 def test_start_that_does_not_cross_is_not_warned_about():
@@ -127,3 +131,46 @@ def test_crossings_never_become_more(what, way):
     assert counts[0] > 10
     assert max(counts) == counts[0]
     assert np.abs(simulation.positions - garment.start).max() > 0.005  # it did move
+
+
+BALL_AROUND = body_of(trimesh.creation.icosphere(2, radius=0.06), move=(0.0, 0.0, 0.02))
+
+
+def counted_through(garment: Garment, body: Body) -> int:
+    """Sides that pass through any triangle of a body."""
+    sides, _ = unique_edges(garment.triangles)
+    s, t = (k.ravel() for k in np.meshgrid(np.arange(len(sides)), np.arange(len(body.triangles)), indexing="ij"))
+    ends, corners = garment.start[sides[s]].transpose(1, 0, 2), body.vertices[body.triangles[t]].transpose(1, 0, 2)
+    return len(np.unique(s[is_edge_intersecting_triangle(*ends, *corners)]))
+
+
+def test_start_through_the_body_is_named_with_its_number_and_places():
+    garment = sheet(0.3, 0.3, SPACING)
+    # A little aside, as above: corners of the ball lie in planes of the grid.
+    garment = replace(garment, start=garment.start + np.array([0.0031, 0.0017, 0.0011]))
+    scene = Scene(garment=garment, fabric=plain_fabric(), body=BALL_AROUND, settings=Settings(spacing=SPACING))
+    simulation = Simulation(scene)
+    (line,) = [w for w in simulation.report().warnings if "pass through body" in w]
+    count = counted_through(garment, BALL_AROUND)
+    assert line.startswith(f"garment 'sheet': {count} sides of panel 'sheet' pass through body '{BALL_AROUND.name}' ")
+    assert count > 10
+    # Where the level sheet cuts the ball, up to the length of a side.
+    places = [np.array([float(v) for v in p.split(")")[0].split(",")]) for p in line.split(" (")[1:]]
+    assert len(places) >= 1
+    for place in places:
+        assert np.linalg.norm(place - [0.0, 0.0, 0.02]) == pytest.approx(0.06, abs=SPACING)
+        assert place[2] == pytest.approx(garment.start[0, 2], abs=0.005)
+    # A body that moves against the cloth later on says nothing of the start.
+    above = replace(garment, start=garment.start + np.array([0.0, 0.0, 0.2]))
+    simulation = Simulation(replace(scene, garment=above))
+    simulation.move_body(BALL_AROUND.vertices + np.array([0.0, 0.0, 0.2]), 0.05)
+    simulation.advance(0.01)
+    assert not [w for w in simulation.report().warnings if "pass through body" in w or "inside body" in w]
+
+
+def test_panel_that_starts_inside_the_body_is_named():
+    garment = sheet(0.05, 0.05, SPACING / 2)
+    moved = replace(garment, start=garment.start + np.array([0.0, 0.0, 0.02]))
+    simulation = Simulation(Scene(garment=moved, fabric=plain_fabric(), body=BALL_AROUND))
+    (line,) = [w for w in simulation.report().warnings if "inside body" in w]
+    assert line.startswith(f"garment 'sheet': panel 'sheet' starts inside body '{BALL_AROUND.name}' and stays there")

@@ -317,7 +317,7 @@ def test_points_that_cannot_merge_are_let_go_after_a_while():
 
 
 def test_hopeless_seams_are_given_up_early_and_nothing_rushes():
-    # A tube of two times 0.4 m around a column of 1.6 m, for which it is pulled as hard as may be.
+    # A tube of two times 0.4 m around a column of 1.6 m, twice as far as its fabric reaches.
     scene = scene_of(tube(apart=0.4), block(), fabric=Fabric.preset("denim"))
     simulation = Simulation(scene)
     fastest = 0.0
@@ -328,7 +328,7 @@ def test_hopeless_seams_are_given_up_early_and_nothing_rushes():
         return run.phase != "sewing"
 
     simulation.settle(look)
-    assert scene.settings.closing_time + 0.5 < simulation.time < scene.settings.sewing_time - 0.5
+    assert scene.settings.closing_time + 0.1 < simulation.time < scene.settings.sewing_time - 0.5
     assert len(simulation.report().open_seams) == 2
     assert fastest <= 3.0 + 1e-9
 
