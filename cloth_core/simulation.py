@@ -413,6 +413,8 @@ class Simulation:
             if motion is not None:
                 # One step at a time: to the contacts the body stands where it was at the search.
                 steps = 1
+            if self._flight_step < dt:
+                self._flight_step = self._longest_flight()
             step = min(dt, self._flight_step)
             self._rescale_impulses(step)
             before_steps = self._finite_state() if self._smooth is not None else None
@@ -565,19 +567,26 @@ class Simulation:
         reach = np.maximum(steps * self._dt * speed, _LEAST_REACH)
         self._contacts = self.model.contact.search(self._x, reach)
         self._searches += 1
-        least_room = _LEAST_ROOM * self.scene.settings.cloth_offset
         renewal = self._contacts.renewal._replace(
-            steps=steps, least_reach=_LEAST_REACH, least_room=least_room,
+            steps=steps, least_reach=_LEAST_REACH, least_room=self._least_room,
             # What is held goes its own way, and the bounds of what a moving body comes near are those of that moment.
             allowed=self._body_motion is None and not self.grasps,
         )  # fmt: skip
         self._contacts = self._contacts._replace(renewal=renewal)
         if self._body_motion is not None:
             self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
-        # What may be left of a way when it counts as not yet spent is enough for one more step: nothing is stopped.
-        room = (1.0 - SPENT) * self._contacts.travel
-        room = np.maximum(room, least_room)
-        self._flight_step = float((room / np.maximum(speed, 1e-9)).min())
+        self._flight_step = self._longest_flight()
+
+    @property
+    def _least_room(self) -> float:
+        return _LEAST_ROOM * self.scene.settings.cloth_offset
+
+    def _longest_flight(self) -> float:
+        """How long a step may be [s] so that contact stops nobody on the way."""
+        # What may be left of a way when it counts as not yet spent is enough for one more step.
+        room = np.maximum((1.0 - SPENT) * self._contacts.travel, self._least_room)
+        speed = np.sqrt((self._v**2).sum(axis=1))
+        return float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:
         return bool((self._moved > (SPENT * self._contacts.travel) ** 2).any())
