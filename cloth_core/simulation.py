@@ -30,7 +30,7 @@ from cloth_core.seam_closing import SeamClosing, count_crossings
 from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH, SmoothWindows
 from cloth_core.stability import StableStep
 from cloth_core.step import Workspace, run_steps
-from cloth_core.support import why_fallen, why_unsupported
+from cloth_core.support import PATIENCE_WITH_FALLEN, why_fallen, why_unsupported
 from cloth_core.switched_off import scene_without
 from cloth_core.tightness import Tightness, TightnessWatch
 from cloth_core.travel_renewal import SPENT
@@ -667,11 +667,12 @@ class Simulation:
         """Why a run to rest whose last window moved something by that much [m] will not get there; empty if it may."""
         tightness, still_open = Tightness.of(self.model, self._x), bool(self._seams.open_seams)
         self._tightness_watch.look(tightness)
-        patience = self._tightness_watch.patience(still_open, self._seams.may_close)
-        if not self._stall_watch.stalls(self.time, movement, patience):
-            return ""
-        number, x, since = self.model.number, self._x, self._stall_watch.since
+        number, x = self.model.number, self._x
         fallen = why_fallen(self.scene, number, x, self._rest.farthest)
+        patience = self._tightness_watch.patience(still_open, self._seams.may_close)
+        if not self._stall_watch.stalls(self.time, movement, PATIENCE_WITH_FALLEN if fallen else patience):
+            return ""
+        since = self._stall_watch.since
         if fallen or self._tightness_watch.is_tight(still_open):
             return fallen or tightness.line
         return why_restless(self.scene.garment, number, x, self._rest, self.time - since)

@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 
 from cloth_core.scene import Scene
 
-__all__ = ["why_fallen", "why_unsupported"]
+__all__ = ["PATIENCE_WITH_FALLEN", "why_fallen", "why_unsupported"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Cloth has fallen past a body when all of it is lower than the body by this [m].
 _PAST = 0.05
+# How long the rest of a garment is waited for when a part of it has fallen past the body, which will not come back [s].
+PATIENCE_WITH_FALLEN = 1.5
 
 
 def why_unsupported(scene: Scene, x: Floats) -> str | None:
@@ -38,4 +40,7 @@ def why_fallen(scene: Scene, number: Ints, x: Floats, particle: int) -> str:
         return ""
     garment = scene.garment
     panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == particle)[0])]]
-    return f"panel '{panel}' is not supported by the body: it has fallen past it; sew it to what it belongs to"
+    return (
+        f"panel '{panel}' is not supported by the body: it has fallen past it; see whether its garment is too wide there, "
+        "or sew it to what it belongs to"
+    )
