@@ -41,6 +41,6 @@ def why_fallen(scene: Scene, number: Ints, x: Floats, particle: int) -> str:
     garment = scene.garment
     panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == particle)[0])]]
     return (
-        f"panel '{panel}' is not supported by the body: it has fallen past it; see whether its garment is too wide there, "
-        "or sew it to what it belongs to"
+        f"panel '{panel}' is not supported by the body: it has fallen past it; see whether its garment is too wide, or "
+        "sew it to what it belongs to"
     )
