@@ -29,10 +29,10 @@ def test_nothing_stretches_and_all_hangs_below_the_table(drapes):
         assert d.rim[:, 2].max() < 0.0
 
 
-def test_silk_drapes_as_its_class_does():
-    # Limp cloth has folds for which the spacing of the others is too coarse.
-    low, high = BANDS["silk"]
-    assert low < drape(Fabric.preset("silk"), 0.01).coefficient < high
+@pytest.mark.parametrize("name", BANDS)
+def test_preset_drapes_as_its_class_does(name):
+    low, high = BANDS[name]
+    assert low < drape(Fabric.preset(name), 0.01).coefficient < high
 
 
 def test_coefficient_of_a_flat_disc_and_of_a_bare_table():
