@@ -29,6 +29,8 @@ _FILL_DIRECTION, _FILL_STRENGTH = (0.85, 0.15, 0.55), np.float32(0.10)
 _SKY_COLOUR = np.array([0.93, 0.96, 1.0], dtype=np.float32)
 _SKY_MEAN, _SKY_SLOPE = np.float32(0.32), np.float32(0.10)
 _INSIDE, _EDGE = 0.50, 0.60  # share of its colour that the wrong side and the cut edge of a cloth keep
+# Cosine of the angle between the normals of triangle and vertex from which on it lies at a crease.
+_CREASE = 0.5
 _SHEEN, _GLOSS = 0.22, 0.05  # fibres that stand up catch light at the rim of cloth; skin-like bodies shine a little
 _BOUNCE = np.float32(0.14)  # share of the sky's light that reaches hidden places from surface to surface
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -214,6 +216,10 @@ def _rounded(surface: Surface, corners: NDArray[np.int32], weights: Floats, side
     vertices, normals = surface.vertices[corners], surface.normals[corners] * sides[:, None]
     flat = np.einsum("kc,kcx->kx", weights, vertices)
     below = np.minimum(np.einsum("kcx,kcx->kc", flat[:, None] - vertices, normals), 0)
+    # At a crease normals lean so far that what they round would reach into the next layer.
+    across = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0]) * sides
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.float32(1e-12))
+    below[np.einsum("kcx,kx->kc", normals, across) < _CREASE] = 0
     lifted: Floats = flat - np.einsum("kc,kc,kcx->kx", weights, below, normals)
     return lifted
 
