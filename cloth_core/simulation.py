@@ -414,7 +414,7 @@ class Simulation:
                 # One step at a time: to the contacts the body stands where it was at the search.
                 steps = 1
             if self._flight_step < dt:
-                self._flight_step = self._longest_flight()
+                self._flight_step = self._longest_flight(self._speeds())
             step = min(dt, self._flight_step)
             self._rescale_impulses(step)
             before_steps = self._finite_state() if self._smooth is not None else None
@@ -561,7 +561,7 @@ class Simulation:
 
     def _search_contacts(self) -> None:
         assert self.model.contact is not None
-        speed = np.sqrt((self._v**2).sum(axis=1))
+        speed = self._speeds()
         crowded = self._contacts.pairs.listed_count[0] > _CROWDED * len(speed)
         steps = _STEPS_IN_A_CROWD if crowded else _STEPS_PER_SEARCH
         reach = np.maximum(steps * self._dt * speed, _LEAST_REACH)
@@ -575,24 +575,26 @@ class Simulation:
         self._contacts = self._contacts._replace(renewal=renewal)
         if self._body_motion is not None:
             self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
-        self._flight_step = self._longest_flight()
+        self._flight_step = self._longest_flight(speed)
 
     @property
     def _least_room(self) -> float:
         return _LEAST_ROOM * self.scene.settings.cloth_offset
 
-    def _longest_flight(self) -> float:
-        """How long a step may be [s] so that contact stops nobody on the way."""
+    def _longest_flight(self, speed: Floats) -> float:
+        """How long a step may be [s] so that contact stops nobody on the way; speed (n,) [m/s]."""
         # What may be left of a way when it counts as not yet spent is enough for one more step.
         room = np.maximum((1.0 - SPENT) * self._contacts.travel, self._least_room)
-        speed = np.sqrt((self._v**2).sum(axis=1))
         return float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:
         return bool((self._moved > (SPENT * self._contacts.travel) ** 2).any())
 
+    def _speeds(self) -> Floats:
+        return np.asarray(np.sqrt((self._v**2).sum(axis=1)))
+
     def _largest_speed(self) -> float:
-        return float(np.sqrt((self._v**2).sum(axis=1).max()))
+        return float(self._speeds().max())
 
     def _refuse_to_go_on(self) -> None:
         if self._failure:
