@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import DEPTH, AabbTree, build_tree, next_leaf
+from cloth_core.flat_separation import certainly_apart
 from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import unique_edges
-from cloth_core.orientation import orientation
+from cloth_core.orientation import exact_orientation, orientation, quick_orientation
 from cloth_core.pair_list import doubled
 
 __all__ = [
@@ -130,8 +131,17 @@ def _edges_through(
                     shared = shared or corner == number[i] or corner == number[j]
                 if shared:
                     continue
-            above = orientation(vertices[a], vertices[b], vertices[c], p)
-            below = orientation(vertices[a], vertices[b], vertices[c], q)
+            above = quick_orientation(vertices[a], vertices[b], vertices[c], p)
+            below = quick_orientation(vertices[a], vertices[b], vertices[c], q)
+            if above * below > 0:
+                continue
+            # All of a flat panel lies in one plane: exact signs are worked out only of what may meet in it.
+            if above * below == 0 and certainly_apart(p, q, vertices[a], vertices[b], vertices[c]):
+                continue
+            if above == 0:
+                above = exact_orientation(vertices[a], vertices[b], vertices[c], p)
+            if below == 0:
+                below = exact_orientation(vertices[a], vertices[b], vertices[c], q)
             if above == below or not _line_meets(p, q, vertices[a], vertices[b], vertices[c]):
                 continue
             if above != 0 and below != 0:

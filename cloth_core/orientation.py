@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cloth_core.kernel import inlined_kernel, kernel
 
-__all__ = ["exact_orientation", "orientation"]
+__all__ = ["exact_orientation", "orientation", "quick_orientation"]
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +31,13 @@ def orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
 
     The sign of the volume of the tetrahedron abcd, (b - a) x (c - a) . (d - a) / 6.
     """
+    sign = quick_orientation(a, b, c, d)
+    return sign if sign != 0 else exact_orientation(a, b, c, d)
+
+
+@kernel
+def quick_orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
+    """As `orientation` where floating point is sure of the sign, 0 where it is not."""
     bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     dx, dy, dz = d[0] - a[0], d[1] - a[1], d[2] - a[2]
@@ -45,7 +52,7 @@ def orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
         return 1
     if volume < -_ERROR_BOUND * magnitude:
         return -1
-    return exact_orientation(a, b, c, d)
+    return 0
 
 
 @inlined_kernel

@@ -6,11 +6,19 @@ import igl.predicates
 import naive_geometry
 import numpy as np
 import pytest
+import shapely
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cloth_core.intersections import crossing_edges, crossing_pairs, segment_crosses, self_crossing_edges
+from cloth_core.flat_separation import certainly_apart
+from cloth_core.intersections import (
+    crossing_edges,
+    crossing_pairs,
+    segment_crosses,
+    self_crossing_edges,
+    self_crossing_pairs,
+)
 from cloth_core.mesh_topology import representatives, unique_edges
 from cloth_core.orientation import exact_orientation, orientation
 
@@ -45,6 +53,32 @@ def naive(x, triangles, other_x, other_triangles, test, same: bool = False) -> l
     return found
 
 
+def sign(value: Fraction) -> int:
+    return (value > 0) - (value < 0)
+
+
+def exact_pairs(x, triangles, other_x, other_triangles, same: bool = False) -> set[tuple[int, int, int]]:
+    """Sides (two numbers) and triangles that they cross, by the whole rule in exact fractions, all against all."""
+    found, ending = set(), {}
+    for i, j in sides_of(triangles):
+        for t, corners in enumerate(other_triangles.tolist()):
+            if same and {i, j} & set(corners):
+                continue
+            abc = other_x[corners]
+            above, below = sign(volume(*abc, x[i])), sign(volume(*abc, x[j]))
+            through = {sign(volume(x[i], x[j], abc[k], abc[(k + 1) % 3])) for k in range(3)}
+            if above == below or {1, -1} <= through:
+                continue
+            if above * below < 0:
+                found.add((i, j, t))
+            else:
+                ending.setdefault((j if below == 0 else i, t), []).append((above + below, (i, j, t)))
+    for ways in ending.values():
+        if {side for side, _ in ways} == {1, -1}:
+            found |= {pair for _, pair in ways}
+    return found
+
+
 def as_list(edges: np.ndarray) -> list[tuple[int, int]]:
     return [tuple(e) for e in edges.tolist()]
 
@@ -74,6 +108,77 @@ def test_crossings_of_random_meshes_are_the_exact_ones(seed, size):
     one, other = (one[0] * size, one[1]), (other[0] * size, other[1])
     assert as_list(crossing_edges(*one, *other)) == naive(*one, *other, crosses_exactly)
     assert as_list(self_crossing_edges(*one)) == naive(*one, *one, crosses_exactly, same=True)
+
+
+# Meshes on a lattice, where nearly everything lies in something else; "turned" ones miss it by rounding.
+PLANES = {
+    "space": np.eye(3),
+    "level": np.diag([1.0, 1.0, 0.0]),
+    "upright": np.diag([0.0, 1.0, 1.0]),
+    "inclined": np.array([[1.0, 0, 1], [0, 1, 1], [0, 0, 0]]),
+    "turned": np.diag([1.0, 1.0, 0.0]) @ np.linalg.qr(np.array([[1.0, 2, 3], [3, 1, 2], [1, 5, 1]]))[0],
+}
+
+
+def lattice_mesh(rng: np.random.Generator, plane: str, vertices: int = 24, count: int = 18):
+    """Random points of a lattice, laid into a plane, the last quarter left in space; and triangles of them."""
+    _, triangles = random_mesh(rng, vertices, count)
+    flat = rng.integers(-2, 3, (vertices, 3)) @ PLANES[plane]
+    loose = rng.integers(-2, 3, (vertices, 3)).astype(float)
+    return np.where(np.arange(vertices)[:, None] < 3 * vertices // 4, flat, loose), triangles
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("plane", PLANES)
+def test_pairs_on_a_lattice_are_the_exact_ones(plane, seed):
+    rng = np.random.default_rng(seed)
+    one, other = lattice_mesh(rng, plane), lattice_mesh(rng, plane, 12, 10)
+    for found, expected in (
+        (crossing_pairs(*one, *other), exact_pairs(*one, *other)),
+        (self_crossing_pairs(*one), exact_pairs(*one, *one, same=True)),
+    ):
+        edges, pairs = found
+        assert len(expected) > 5
+        assert {(*edges[e].tolist(), t) for e, t in pairs.tolist()} == expected
+
+
+@pytest.mark.parametrize(("plane", "axes"), [("level", [0, 1]), ("upright", [1, 2]), ("inclined", [0, 1])])
+def test_apart_in_a_plane_is_what_shapely_calls_disjoint(plane, axes):
+    rng = np.random.default_rng(7)
+    seen = []
+    for _ in range(400):
+        flat = rng.integers(-3, 4, (5, 3))
+        segment, triangle = shapely.LineString(flat[:2, axes]), shapely.Polygon(flat[2:, axes])
+        if triangle.area > 0.0 and segment.length > 0.0:
+            seen.append(segment.disjoint(triangle))
+            assert certainly_apart(*(flat @ PLANES[plane])) == seen[-1]
+    assert min(np.bincount(seen)) > 50
+
+
+def test_apart_is_not_said_of_what_rounding_decides():
+    # Segments that end on a triangle's side as well as rounding allows, and come from beyond it.
+    rng = np.random.default_rng(9)
+    reach_in = 0
+    for _ in range(400):
+        a, b, c = np.column_stack([rng.uniform(-1, 1, (3, 2)), np.zeros(3)])
+        p, q = a + rng.uniform(0.2, 0.8) * (b - a), a + b - c
+        lift = np.array([0.0, 0.0, 1.0])
+        if volume(a, b, p, c + lift) * volume(a, b, q, c + lift) <= 0:  # p is not strictly on q's side of ab
+            reach_in += 1
+            assert not certainly_apart(p, q, a, b, c)
+    assert reach_in > 100
+
+
+@pytest.mark.parametrize("plane", PLANES)
+def test_what_is_apart_does_not_cross(plane):
+    rng = np.random.default_rng(8)
+    apart = 0
+    for _ in range(400):
+        points = rng.integers(-3, 4, (5, 3)) @ PLANES[plane]
+        if certainly_apart(*points):
+            apart += 1
+            assert not crosses_exactly(*points)
+    assert apart > 50
 
 
 def test_two_boxes():
