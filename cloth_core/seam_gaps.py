@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from cloth_core.garment import Garment, Seam, merged_numbers
 from cloth_core.intersections import self_crossing_pairs
+from cloth_core.mesh_topology import point_neighbours
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 
-__all__ = ["ClosingSeams", "point_neighbours", "seam_gap_triangles"]
+__all__ = ["ClosingSeams", "seam_gap_triangles"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -105,15 +106,6 @@ def seam_gap_triangles(seams: Sequence[Seam]) -> Ints:
     triangles = np.concatenate(parts)
     p, q, r = triangles.T
     return np.asarray(triangles[(p != q) & (q != r) & (r != p)], dtype=np.int32)
-
-
-def point_neighbours(triangles: Ints) -> tuple[Ints, Ints]:
-    """Neighbours of each point as a compressed list: start (k + 1,) and sorted neighbours."""
-    a, b, c = triangles.T.astype(np.int64)
-    count = int(triangles.max()) + 1
-    pairs = np.unique(np.concatenate([a, b, b, c, c, a]) * count + np.concatenate([b, a, c, b, a, c]))
-    start = np.searchsorted(pairs // count, np.arange(count + 1)).astype(np.int32)
-    return start, (pairs % count).astype(np.int32)
 
 
 def _side_keys(triangles: Ints, count: int) -> NDArray[np.int64]:

@@ -17,11 +17,11 @@ from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 from cloth_core.kernel import kernel
-from cloth_core.mesh_topology import Representatives, representatives
+from cloth_core.mesh_topology import Representatives, point_neighbours, representatives
 from cloth_core.near_distances import point_triangle_distances, segment_distances
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
 from cloth_core.pair_list import doubled, write_pair
-from cloth_core.seam_gaps import ClosingSeams, point_neighbours
+from cloth_core.seam_gaps import ClosingSeams
 from cloth_core.smooth_windows import SmoothWindows, common_window, node_windows
 
 __all__ = ["NONE_LEFT_OUT", "SelfContact", "self_overlapping_pairs"]

@@ -19,7 +19,7 @@ from cloth_core.intersections import (
     self_crossing_edges,
     self_crossing_pairs,
 )
-from cloth_core.mesh_topology import representatives, unique_edges
+from cloth_core.mesh_topology import point_neighbours, representatives, unique_edges
 from cloth_core.orientation import exact_orientation, orientation
 
 
@@ -373,3 +373,15 @@ def test_every_vertex_and_side_belongs_to_one_triangle_that_has_it(seed, count):
         named = [row[1 : 1 + row[0]] for row in owned.tolist()]
         assert all(set(mine) <= set(row) for mine, row in zip(named, table.tolist(), strict=True))
         assert sorted(entry for mine in named for entry in mine) == sorted(there)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 40))
+def test_neighbours_of_a_point_are_the_corners_beside_it(seed, count):
+    # Points that have met are one, so that triangles may have a corner twice: such a point is its own neighbour.
+    triangles = np.random.default_rng(seed).integers(0, 12, (count, 3)).astype(np.int32)
+    start, neighbours = point_neighbours(triangles)
+    assert len(start) == triangles.max() + 2
+    for point in range(len(start) - 1):
+        beside = {t[k - m] for t in triangles.tolist() for k in range(3) for m in (1, 2) if t[k] == point}
+        assert neighbours[start[point] : start[point + 1]].tolist() == sorted(beside)
