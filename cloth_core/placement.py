@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import build_tree
+from cloth_core.aabb_tree import DEPTH, AabbTree, build_tree, next_leaf
 from cloth_core.body import Body
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.kernel import kernel
 from cloth_core.mesh_distance import distances_to_mesh
 
 __all__ = ["below_body_warnings", "clear_of_body", "crosses_more"]
@@ -104,8 +105,7 @@ class _Surroundings:
         self._body = body
         way = _FARTHEST * np.abs(normal) + 2.0 * _STEP
         low, high = panel.min(axis=0) - way, panel.max(axis=0) + way
-        corners = body.vertices[body.triangles]
-        near = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
+        near = np.sort(_triangles_in_box(body.tree, low, high))
         used, index = np.unique(body.triangles[near], return_inverse=True)
         self._vertices = np.ascontiguousarray(body.vertices[used])
         self._triangles = index.reshape(-1, 3).astype(np.int32)
@@ -130,3 +130,18 @@ class _Surroundings:
             len(crossing_edges(panel, triangles, self._vertices, self._triangles, self._tree))
             or len(crossing_edges(self._vertices, self._triangles, panel, triangles, tree))
         )
+
+
+@kernel
+def _triangles_in_box(tree: AabbTree, low: Floats, high: Floats) -> Ints:
+    """Triangles whose boxes in the tree have a point in common with that from low to high, both (3,) [m]."""
+    found, count = np.empty(tree.triangle.shape[0], dtype=np.int32), 0
+    if found.shape[0] == 0:
+        return found
+    waiting = np.zeros(DEPTH, dtype=np.int32)
+    triangle, left = next_leaf(tree, low, high, waiting, 1)
+    while triangle >= 0:
+        found[count] = triangle
+        count += 1
+        triangle, left = next_leaf(tree, low, high, waiting, left)
+    return found[:count].copy()
