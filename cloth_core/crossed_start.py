@@ -14,8 +14,6 @@ __all__ = ["body_start_warnings", "crossed_start_warnings", "crossing_at_start"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
-# Flat to this share of its size a panel counts as plane.
-_PLANE = 1e-9
 # What crosses nearer to each other than this is one place [m]; so many are named.
 _PLACE, _NAMED = 0.1, 3
 
@@ -23,16 +21,10 @@ _PLACE, _NAMED = 0.1, 3
 def crossing_at_start(garment: Garment) -> Ints:
     """Sides of the cloth that pass through it at its start, as particle pairs (k, 2).
 
-    Sides and triangles that meet in a point of a seam do not count: there they are sewn together. What lies in one
-    plane does not cross, but is what exact tests take longest to say; so a plane panel is not tested against itself.
+    Sides and triangles that meet in a point of a seam do not count: there they are sewn together.
     """
-    merged, panel = garment.merged_indices, garment.panel_of_particle
-    number = np.where(_plane_panels(garment)[panel], panel, len(garment.panel_names) + merged)
-    edges, pairs = self_crossing_pairs(garment.start, garment.triangles, number)
-    sides = merged[edges[pairs[:, 0]]]
-    corners = merged[garment.triangles[pairs[:, 1]]]
-    apart = (sides[:, :, None] != corners[:, None, :]).all(axis=(1, 2))
-    return np.asarray(edges[np.unique(pairs[apart, 0])])
+    edges, pairs = self_crossing_pairs(garment.start, garment.triangles, garment.merged_indices)
+    return np.asarray(edges[np.unique(pairs[:, 0])])
 
 
 def crossed_start_warnings(garment: Garment) -> tuple[str, ...]:
@@ -91,16 +83,3 @@ def _places_of(garment: Garment, sides: Ints) -> str:
         left = left[np.linalg.norm(left - places[-1], axis=1) > _PLACE]
     shown = ", ".join(f"({', '.join(f'{value:.2f}' for value in place)}) m" for place in places[:_NAMED])
     return f"at {shown}" + (f" and {len(places) - _NAMED} more places" if len(places) > _NAMED else "")
-
-
-def _plane_panels(garment: Garment) -> NDArray[np.bool_]:
-    """Which panels start in one plane, (number of panels,)."""
-    plane = np.zeros(len(garment.panel_names), dtype=bool)
-    for k in range(len(plane)):
-        x = garment.start[garment.panel_of_particle == k]
-        if len(x) < 3:
-            continue
-        x = x - x.mean(axis=0)
-        spread = np.linalg.eigvalsh(x.T @ x)  # ascending: squares of the thickness, width and length
-        plane[k] = spread[0] <= _PLANE**2 * spread[2] * len(x)
-    return plane

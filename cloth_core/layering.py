@@ -58,6 +58,7 @@ def separate_panels(garment: Garment, garment_of_panel: Sequence[int], gap: floa
     reasons: dict[int, set[int]] = defaultdict(set)
     start = garment.start
     stuck: set[tuple[int, int]] = set()
+    crossing: list[tuple[int, int]] = []
     for _ in range(_ROUNDS):
         panels = [_FlatPanel.of(garment, start, k) for k in range(count)]
         # A later panel meets the earlier ones where they have gone to in this round.
@@ -71,7 +72,8 @@ def separate_panels(garment: Garment, garment_of_panel: Sequence[int], gap: floa
                     wanted[outer] = max(wanted[outer], needed)
                     reasons[outer].add(inner)
         if not wanted.any():
-            for one, other in _in_the_way(garment, start, panels, layers):
+            crossing = _in_the_way(garment, start, panels)
+            for one, other in crossing:
                 ways = {
                     k: panels[k].height_of_near(panels[m], garment.spacing) + gap
                     for k, m in ((one, other), (other, one))
@@ -89,8 +91,9 @@ def separate_panels(garment: Garment, garment_of_panel: Sequence[int], gap: floa
         start = (
             garment.start + shift[garment.panel_of_particle, None] * (garment.panel_normals[garment.panel_of_particle])
         )
-    panels = [_FlatPanel.of(garment, start, k) for k in range(count)]
-    stuck |= set(_in_the_way(garment, start, panels, layers))
+    else:
+        crossing = _in_the_way(garment, start, [_FlatPanel.of(garment, start, k) for k in range(count)])
+    stuck |= set(crossing)
     if not shift.any() and not stuck:
         return garment
     names = garment.panel_names
@@ -171,7 +174,7 @@ def _polygon(outline: Floats) -> Polygon:
     return Polygon(outline[:, :2]).buffer(0.0)
 
 
-def _in_the_way(garment: Garment, start: Floats, panels: list[_FlatPanel], layers: Ints) -> list[tuple[int, int]]:
+def _in_the_way(garment: Garment, start: Floats, panels: list[_FlatPanel]) -> list[tuple[int, int]]:
     """Pairs of panels, lower index first, that cross, touch or lie on each other."""
     edges, crossings = self_crossing_pairs(start, garment.triangles, garment.merged_indices)
     one = garment.panel_of_particle[edges[crossings[:, 0], 0]]
