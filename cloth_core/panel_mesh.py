@@ -224,7 +224,7 @@ def _delaunay_band(
     keep = ~in_grid & ~flat & shapely.contains_xy(polygon, centre)
     band = triangles[keep]
     # qhull's order is its own affair; ours is a fixed rule: smallest corner first, then sorted.
-    band = np.stack([np.roll(t, -int(t.argmin())) for t in band]) if len(band) else band
+    band = np.take_along_axis(band, (band.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     return np.asarray(band[np.lexsort(band.T[::-1])], dtype=np.int32)
 
 
