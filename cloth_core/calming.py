@@ -62,11 +62,14 @@ class Calming:
         self.active = movement > allowed
 
 
+@kernel
 def limit_speed(v: Floats) -> None:
     """Slow down, in place, what is faster than 3 m/s; v (n, 3) [m/s]."""
-    speed = np.sqrt((v**2).sum(axis=1))
-    rushing = speed > _RUSH
-    v[rushing] *= (_RUSH / speed[rushing])[:, None]
+    for i in range(v.shape[0]):
+        speed = np.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
+        if speed > _RUSH:
+            for axis in range(3):
+                v[i, axis] *= _RUSH / speed
 
 
 @kernel

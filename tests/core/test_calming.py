@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from cloth_core.calming import Calming
+from cloth_core.calming import Calming, limit_speed
 
 
 def test_what_slows_down_is_braked_and_what_turns_round_stops():
@@ -37,3 +37,13 @@ def test_braking_ends_when_little_moves_and_comes_back():
     assert calming.active
     calming.rough = True  # a drape that is only a start for a finer one need not lie still
     assert calming.ended(2.9e-3, allowed=1e-3)
+
+
+def test_nothing_is_faster_than_three_metres_a_second_and_what_is_slower_stays_as_it_is():
+    v = np.random.default_rng(5).standard_normal((500, 3)) * 2.0
+    speed = np.linalg.norm(v, axis=1)
+    limited = v.copy()
+    limit_speed(limited)
+    assert min(np.bincount(speed > 3.0)) > 100
+    np.testing.assert_array_equal(limited[speed <= 3.0], v[speed <= 3.0])
+    np.testing.assert_allclose(limited, v * np.minimum(3.0 / speed, 1.0)[:, None], rtol=1e-15)
