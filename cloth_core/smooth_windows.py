@@ -277,14 +277,25 @@ def smoothness(x: Floats, triangles: Ints, windows: Windows, least: Floats, aske
     for number in range(asked.shape[0]):
         if not asked[number]:
             continue
-        first, last = windows.start[number], windows.start[number + 1]
-        mean[:] = 0.0
-        for entry in range(first, last):
-            t = windows.cover[entry]
-            for part in range(6):
-                mean[part] += f[part, t]
-        result[number] = _turned_towards(mean) and _all_beyond(f, windows.cover[first:last], mean, least[number])
+        cover = windows.cover[windows.start[number] : windows.start[number + 1]]
+        _add_up(f, cover, mean)
+        result[number] = _turned_towards(mean) and _all_beyond(f, cover, mean, least[number])
     return result
+
+
+@kernel
+def _add_up(f: Floats, cover: Ints, total: Floats) -> None:
+    """Sum of F over the triangles of cover; f (6, m), total (6,)."""
+    a = b = c = d = e = g = 0.0  # not in an array: each sum would wait for its number to be written and read again
+    for entry in range(cover.shape[0]):
+        t = cover[entry]
+        a += f[0, t]
+        b += f[1, t]
+        c += f[2, t]
+        d += f[3, t]
+        e += f[4, t]
+        g += f[5, t]
+    total[0], total[1], total[2], total[3], total[4], total[5] = a, b, c, d, e, g
 
 
 @kernel
