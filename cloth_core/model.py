@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.bending import Bending, bending_forces, build_bending
+from cloth_core.bending import Bending, build_bending
 from cloth_core.body_contact import BodyContact
 from cloth_core.contact import Contact, ContactSettings
 from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
-from cloth_core.kernel import kernel
 from cloth_core.runs import find_runs
 from cloth_core.scene import Scene
 from cloth_core.self_contact import SelfContact
@@ -21,10 +20,10 @@ from cloth_core.sewing import SeamPull, build_seam_pull, renumbered_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
+from cloth_core.stiffness_product import StiffnessTerms, spring_rows, weighted_product
 from cloth_core.strain_limit import build_strain_limit, no_strain_limit
 from cloth_core.switched_off import marked_off, scene_without
-from cloth_core.trellis import add_trellis_stiffness, trellis_rows, trellis_stiffness
-from cloth_core.twist import twist_forces
+from cloth_core.trellis import trellis_rows, trellis_stiffness
 
 __all__ = ["Model", "Term"]
 
@@ -221,33 +220,28 @@ class Model:
         self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 5e-4
     ) -> StableStep:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
-        terms = self.force_terms(air_drag)
-        tau, bending_tau = terms.spring_damping_time, terms.bending_damping_time
+        forces = self.force_terms(air_drag)
         acts = self._stiffness > 0.0
         pairs = self.springs.pairs[acts]
-        rows = _spring_rows(x, pairs, self.springs.rest_length[acts], self._stiffness[acts])
-        cells = trellis_rows(x, self.trellis, self.trellis_stiffness)
-        axes, bends = (np.zeros((3, len(x) if self.bending is not None else 0)) for _ in range(2))
-
-        def weighted(u: Floats, k: float, c: float) -> Floats:
-            total = np.zeros_like(u)
-            _spring_stiffness(u, pairs, rows, k, k + c * tau, total)
-            add_trellis_stiffness(u, self.trellis, cells, k, k + c * tau, total)
-            if self.bending is not None:
-                axes[:] = u.T
-                bends[:] = 0.0
-                bending_forces(axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends)
-                twist_forces(axes, terms.twists, bends)
-                bends[:] *= k + c * bending_tau
-                total -= bends.T
-            if self.seam_pull is not None:
-                pull = k * self.seam_pull.stiffness + c * self.seam_pull.damping
-                _pair_laplacian(u, self.seam_pull.pairs, pull, total)
-            if air_drag > 0.0:
-                total += (c * air_drag * self.mass)[:, None] * u
-            return total
-
-        return stable_time_step(weighted, self.inverse_mass, mode, tolerance)
+        terms = StiffnessTerms(
+            pairs=pairs,
+            spring_rows=spring_rows(x, pairs, self.springs.rest_length[acts], self._stiffness[acts]),
+            cells=self.trellis,
+            cell_rows=trellis_rows(x, self.trellis, self.trellis_stiffness),
+            spring_damping_time=forces.spring_damping_time,
+            lines=forces.lines,
+            twists=forces.twists,
+            hinges=forces.hinges,
+            hinge_weights=forces.hinge_weights,
+            hinge_stiffness=forces.hinge_stiffness,
+            bending_damping_time=forces.bending_damping_time,
+            seam_pairs=forces.seam.pairs,
+            seam_stiffness=forces.seam.stiffness,
+            seam_damping=forces.seam.damping,
+            mass=self.mass,
+            air_drag=forces.air_drag,
+        )
+        return stable_time_step(lambda u, k, c: weighted_product(terms, u, k, c), self.inverse_mass, mode, tolerance)
 
     def longest_step(self, stable: StableStep) -> float:
         """Time step [s] to use: the settings' share of the stable one, and no longer than is sensible without one."""
@@ -329,57 +323,3 @@ _NO_BENDING = Bending(
     np.zeros((0, 3), dtype=np.int32), np.zeros(0), np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros(0)
 )
 _NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0)
-
-
-@kernel
-def _spring_rows(x: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats) -> NDArray[np.float32]:
-    """The stiffness of each spring at x across it, c [N/m], and along it, e e', with e (3) [(N/m)^(1/2)], shape (s, 4).
-
-    Along it that is k, across it k (1 - L0 / L) where it is stretched. Single precision is a thousand times finer than
-    the estimate made with it, and takes half the room.
-    """
-    rows = np.zeros((pairs.shape[0], 4), dtype=np.float32)
-    for s in range(pairs.shape[0]):
-        i, j = pairs[s, 0], pairs[s, 1]
-        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-        squared = dx * dx + dy * dy + dz * dz
-        if squared < 1e-24:
-            continue
-        rows[s, 0] = stiffness[s] * max(1.0 - rest_length[s] / np.sqrt(squared), 0.0)
-        along = np.sqrt(stiffness[s] / squared)
-        rows[s, 1], rows[s, 2], rows[s, 3] = along * dx, along * dy, along * dz
-    return rows
-
-
-@kernel
-def _spring_stiffness(
-    u: Floats, pairs: Ints, rows: NDArray[np.float32], across_weight: float, along_weight: float, out: Floats
-) -> None:
-    """Add K u of all springs, with weights across them and along them, where damping acts as well.
-
-    rows (s, 4) as from _spring_rows, u and out (n, 3).
-    """
-    for s in range(pairs.shape[0]):
-        i, j = pairs[s, 0], pairs[s, 1]
-        ux, uy, uz = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1], u[j, 2] - u[i, 2]
-        across, ex, ey, ez = across_weight * rows[s, 0], rows[s, 1], rows[s, 2], rows[s, 3]
-        own = max(ex * ex + ey * ey + ez * ez, 1e-30)
-        along = (along_weight - across / own) * (ex * ux + ey * uy + ez * uz)
-        fx, fy, fz = across * ux + along * ex, across * uy + along * ey, across * uz + along * ez
-        out[i, 0] -= fx
-        out[i, 1] -= fy
-        out[i, 2] -= fz
-        out[j, 0] += fx
-        out[j, 1] += fy
-        out[j, 2] += fz
-
-
-@kernel
-def _pair_laplacian(u: Floats, pairs: Ints, weight: Floats, out: Floats) -> None:
-    """Add the weighted graph Laplacian of the pairs: an upper bound for a pull in any direction; u, out (k, 3)."""
-    for s in range(pairs.shape[0]):
-        i, j = pairs[s, 0], pairs[s, 1]
-        for axis in range(3):
-            difference = weight[s] * (u[j, axis] - u[i, axis])
-            out[i, axis] -= difference
-            out[j, axis] += difference

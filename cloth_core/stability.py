@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +52,6 @@ def largest_eigenpair(
     The residual of the Ritz pair is added to its value, so that a Lanczos run that has not converged errs on the safe
     side. `start` has any shape; the operator maps arrays of that shape.
     """
-    from scipy.linalg import eigh_tridiagonal
-
     shape, size = start.shape, start.size
     norm = _norm(start)
     if norm == 0.0:
@@ -67,9 +66,7 @@ def largest_eigenpair(
         alpha, beta = recurrence.alpha, recurrence.beta
         last = beta[-1] <= 1e-12 * max(abs(a) for a in alpha) or k == iterations - 1
         if last or k % 4 == 3:
-            # The largest pair alone, in one thread: those of BLAS would wait for each other on a busy machine.
-            values, vectors = eigh_tridiagonal(np.array(alpha), np.array(beta[:-1]), select="i", select_range=(k, k))
-            value, weights = float(values[0]), vectors[:, 0]
+            value, weights = _largest_of_tridiagonal(np.array(alpha), np.array(beta[:-1]))
             residual = beta[-1] * abs(float(weights[-1]))
             if last or residual <= tolerance * value:
                 break
@@ -86,6 +83,25 @@ def largest_eigenpair(
                 recurrence.advance()
             ritz += weight * recurrence.vector[:size]
     return max(value, 0.0) + (residual if value > 0.0 else 0.0), ritz.reshape(shape)
+
+
+def _largest_of_tridiagonal(diagonal: Floats, beside: Floats) -> tuple[float, Floats]:
+    """The largest eigenvalue of a symmetric tridiagonal matrix, (n,) and (n - 1,), and its vector (n,).
+
+    As `scipy.linalg.eigh_tridiagonal` does it, whose checks take ten times as long as a matrix of a dozen rows: the
+    pair alone, in one thread. Those of BLAS would wait for each other on a busy machine.
+    """
+    from scipy.linalg.lapack import dstebz, dstein
+
+    count = len(diagonal)
+    if count == 1:
+        return float(diagonal[0]), np.ones(1)
+    by_index, by_block = 2, "B"
+    _, values, block, split, failed = dstebz(diagonal, beside, by_index, 0.0, 1.0, count, count, 0.0, by_block)
+    vectors, not_converged = dstein(diagonal, beside, values[:1], block, split)
+    if failed or not_converged:
+        raise np.linalg.LinAlgError(f"the largest eigenvalue of {count} Lanczos steps was not found")
+    return float(values[0]), vectors[:, 0]
 
 
 class _Recurrence:
@@ -156,8 +172,7 @@ def stable_time_step(
         tolerance: relative residual of the eigenvalue.
     """
     scale = np.sqrt(inverse_mass)[:, None]
-    stir = np.random.default_rng(0).standard_normal((len(inverse_mass), 3))
-    stir /= _norm(stir)
+    stir = _every_direction(len(inverse_mass))
 
     def along(mode: Floats) -> tuple[float, float]:
         """k = u K u and c = u C u of the normalised mode."""
@@ -195,6 +210,15 @@ def stable_time_step(
     # most r times its largest eigenvalue, so that this one is stable for certain.
     certain = step * min(1.0, 4.0 / value)
     return StableStep(certain, math.sqrt(k), c / (2.0 * math.sqrt(k)) if k > 0.0 else math.inf, mode)
+
+
+@lru_cache(maxsize=2)
+def _every_direction(count: int) -> Floats:
+    """A unit vector (count, 3) that is perpendicular to no mode; always the same one."""
+    stir = np.random.default_rng(0).standard_normal((count, 3))
+    stir /= _norm(stir)
+    stir.setflags(write=False)
+    return stir
 
 
 def _limit(k: float, c: float) -> float:
