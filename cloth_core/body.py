@@ -122,6 +122,11 @@ class Body:
         return build_tree(self.vertices, self.triangles)
 
     @cached_property
+    def lowest(self) -> float:
+        """Height of the lowest vertex [m]."""
+        return float(self.vertices[:, 2].min())
+
+    @cached_property
     def representatives(self) -> Representatives:
         """Which triangle stands for which vertex and side."""
         return representatives(self.triangles)

@@ -67,7 +67,7 @@ def below_body_warnings(garment: Garment, body: Body) -> tuple[str, ...]:
     A pattern says nothing of the body that it was drawn for. One whose origin is at the waist, for example, puts a
     garment for a body that stands on height 0 around its feet.
     """
-    lowest = float(body.vertices[:, 2].min())
+    lowest = body.lowest
     height = garment.start[:, 2]
     share = float(garment.particle_areas[height < lowest].sum() / garment.particle_areas.sum())
     if share < _BELOW_SHARE:

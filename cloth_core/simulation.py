@@ -588,10 +588,10 @@ class Simulation:
         return float((room / np.maximum(speed, 1e-9)).min())
 
     def _contacts_spent(self) -> bool:
-        return bool((self._moved > (SPENT * self._contacts.travel) ** 2).any())
+        return _any_beyond(self._moved, self._contacts.travel, SPENT)
 
     def _speeds(self) -> Floats:
-        return np.asarray(np.sqrt((self._v**2).sum(axis=1)))
+        return _lengths(self._v)
 
     def _largest_speed(self) -> float:
         return float(self._speeds().max())
@@ -741,3 +741,21 @@ def _first_out_of_bounds(x: Floats, v: Floats) -> int:
             if not (np.isfinite(x[i, axis]) and abs(v[i, axis]) < _HIGHEST_SPEED):
                 return i
     return -1
+
+
+@kernel
+def _any_beyond(moved: Floats, travel: Floats, share: float) -> bool:
+    """Whether anything has moved by more than a share of its travel [m]; moved is squared [m^2], all (n,)."""
+    for i in range(moved.shape[0]):
+        if moved[i] > (share * travel[i]) * (share * travel[i]):
+            return True
+    return False
+
+
+@kernel
+def _lengths(v: Floats) -> Floats:
+    """Of each row of v (n, 3), shape (n,)."""
+    lengths = np.empty(v.shape[0])
+    for i in range(v.shape[0]):
+        lengths[i] = np.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
+    return lengths

@@ -24,7 +24,7 @@ def why_unsupported(scene: Scene, x: Floats) -> str | None:
         return None
     if scene.body is None:
         return "nothing supports the garment: there is neither a body nor a pin"
-    if float(x[:, 2].max()) < float(scene.body.vertices[:, 2].min()) - _PAST:
+    if float(x[:, 2].max()) < scene.body.lowest - _PAST:
         return "not supported by the body: it has fallen past it"
     return None
 
@@ -36,7 +36,7 @@ def why_fallen(scene: Scene, number: Ints, x: Floats, particle: int) -> str:
     """
     if scene.body is None or not any(scene.gravity):
         return ""
-    if float(x[particle, 2]) >= float(scene.body.vertices[:, 2].min()) - _PAST:
+    if float(x[particle, 2]) >= scene.body.lowest - _PAST:
         return ""
     garment = scene.garment
     panel = garment.panel_names[garment.panel_of_particle[int(np.flatnonzero(number == particle)[0])]]
