@@ -131,18 +131,19 @@ def _edges_through(
                     shared = shared or corner == number[i] or corner == number[j]
                 if shared:
                     continue
-            above = quick_orientation(vertices[a], vertices[b], vertices[c], p)
-            below = quick_orientation(vertices[a], vertices[b], vertices[c], q)
+            va, vb, vc = vertices[a], vertices[b], vertices[c]
+            above = quick_orientation(va, vb, vc, p)
+            below = quick_orientation(va, vb, vc, q)
             if above * below > 0:
                 continue
             # All of a flat panel lies in one plane: exact signs are worked out only of what may meet in it.
-            if above * below == 0 and certainly_apart(p, q, vertices[a], vertices[b], vertices[c]):
+            if above * below == 0 and certainly_apart(p, q, va, vb, vc):
                 continue
             if above == 0:
-                above = exact_orientation(vertices[a], vertices[b], vertices[c], p)
+                above = exact_orientation(va, vb, vc, p)
             if below == 0:
-                below = exact_orientation(vertices[a], vertices[b], vertices[c], q)
-            if above == below or not _line_meets(p, q, vertices[a], vertices[b], vertices[c]):
+                below = exact_orientation(va, vb, vc, q)
+            if above == below or not _line_meets(p, q, va, vb, vc):
                 continue
             if above != 0 and below != 0:
                 if crossed_count == crossed.shape[0]:

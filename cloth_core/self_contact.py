@@ -238,6 +238,8 @@ def self_overlapping_pairs(tree: AabbTree, left_out: Ints, pairs: Ints, most: in
         i, j = stack[top, 0], stack[top, 1]
         if top + 4 > stack.shape[0]:
             stack = doubled(stack)
+        if i != j and not boxes_overlap(tree, i, tree, j):
+            continue
         if left_out.shape[0] > 0 and common_window(left_out, i, j):
             continue
         if i == j:
@@ -247,8 +249,6 @@ def self_overlapping_pairs(tree: AabbTree, left_out: Ints, pairs: Ints, most: in
                 stack[top + 1, 0], stack[top + 1, 1] = left, right
                 stack[top + 2, 0], stack[top + 2, 1] = left, left
                 top += 3
-            continue
-        if not boxes_overlap(tree, i, tree, j):
             continue
         one, other = tree.triangle[i], tree.triangle[j]
         if one >= 0 and other >= 0:
