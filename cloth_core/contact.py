@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.axis_layout import particle_rows
 from cloth_core.body_contact import BodyContact, VertexPlanes, arm, hold_vertices, vertex_body_gaps
 from cloth_core.broad_phase import BroadPhase
 from cloth_core.closest_points import away_from_triangle, point_triangle
@@ -73,7 +74,7 @@ class ContactState(NamedTuple):
     """What one narrow phase found.
 
     Attributes:
-        origin: positions at the narrow phase [m], (n, 3).
+        origin: positions at the narrow phase [m], (3, n).
         travel: how far each particle may move from there [m], (n,).
         planes: cloth vertices against body triangles.
         pairs: everything else.
@@ -92,7 +93,7 @@ class ContactState(NamedTuple):
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
         return cls(
-            np.zeros((0, 3)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(), NearPlanes.none(), Renewal.none()
+            np.zeros((3, 0)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(), NearPlanes.none(), Renewal.none()
         )
 
 
@@ -179,7 +180,7 @@ class Contact:
             planes.plane_count[:] = -1
             self._searched_body_x = body_x
         renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
-        return ContactState(x.copy(), travel, planes, pairs, NearPlanes.of(near), renewal)
+        return ContactState(np.ascontiguousarray(x.T), travel, planes, pairs, NearPlanes.of(near), renewal)
 
     def forget(self) -> None:
         """Let the next search be one with a broad phase."""
@@ -292,33 +293,38 @@ def _near_body(
 def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
     """Stop every particle at its bound; fill moved (n,) with squared ways [m^2]; whether any has used most of its way.
 
-    A particle that is stopped loses its speed away from its origin, x and v (n, 3) [m, m/s]: otherwise whatever drives
-    it there would go on adding to a velocity that shows nowhere.
+    A particle that is stopped loses its speed away from its origin, x and v (3, at least n) [m, m/s]: otherwise
+    whatever drives it there would go on adding to a velocity that shows nowhere.
     """
-    origin, travel = state.origin, state.travel
-    for i in range(x.shape[0]):  # this much and no more, so that it is done to eight particles at once
-        dx, dy, dz = x[i, 0] - origin[i, 0], x[i, 1] - origin[i, 1], x[i, 2] - origin[i, 2]
-        moved[i] = dx * dx + dy * dy + dz * dz
+    travel = state.travel
+    px, py, pz = x[0], x[1], x[2]
+    ox, oy, oz = state.origin[0], state.origin[1], state.origin[2]
     spent = 0
-    for i in range(x.shape[0]):
+    for i in range(travel.shape[0]):  # this much and no more, so that it is done to eight particles at once
+        dx, dy, dz = px[i] - ox[i], py[i] - oy[i], pz[i] - oz[i]
+        way = dx * dx + dy * dy + dz * dz
+        moved[i] = way
         most = SPENT * travel[i]
-        spent += moved[i] > most * most
+        spent += way > most * most
     if spent > 0:
-        for i in range(x.shape[0]):
+        for i in range(travel.shape[0]):
             bound = travel[i]
             if moved[i] > bound * bound:
                 share = bound / np.sqrt(moved[i])
-                dx, dy, dz = x[i, 0] - origin[i, 0], x[i, 1] - origin[i, 1], x[i, 2] - origin[i, 2]
-                x[i, 0] = origin[i, 0] + share * dx
-                x[i, 1] = origin[i, 1] + share * dy
-                x[i, 2] = origin[i, 2] + share * dz
-                outward = (dx * v[i, 0] + dy * v[i, 1] + dz * v[i, 2]) / moved[i]
+                dx, dy, dz = px[i] - ox[i], py[i] - oy[i], pz[i] - oz[i]
+                px[i] = ox[i] + share * dx
+                py[i] = oy[i] + share * dy
+                pz[i] = oz[i] + share * dz
+                outward = (dx * v[0, i] + dy * v[1, i] + dz * v[2, i]) / moved[i]
                 if outward > 0.0:
-                    v[i, 0] -= outward * dx
-                    v[i, 1] -= outward * dy
-                    v[i, 2] -= outward * dz
+                    v[0, i] -= outward * dx
+                    v[1, i] -= outward * dy
+                    v[2, i] -= outward * dz
                 moved[i] = bound * bound
-    return keep_on_own_side(x, v, state.origin, state.near) or spent > 0
+    count = travel.shape[0]
+    return keep_on_own_side(
+        particle_rows(x, count), particle_rows(v, count), particle_rows(state.origin, count), state.near
+    ) or (spent > 0)
 
 
 @kernel
@@ -327,16 +333,18 @@ def resolve_contacts(
 ) -> bool:
     """Hold everything apart after a step, in place; whether any particle has used most of its way.
 
-    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) [m^2] is written; dt [s].
+    Shapes: x, v (3, at least n) [m, m/s]; inverse_mass (n,) [1/kg]; moved (n,) [m^2] is written; dt [s].
     """
-    repeat_impulses(x, v, inverse_mass, state.pairs, dt)
+    count = inverse_mass.shape[0]
+    rows_x, rows_v = particle_rows(x, count), particle_rows(v, count)
+    repeat_impulses(rows_x, rows_v, inverse_mass, state.pairs, dt)
     spent = keep_within_travel(x, v, state, moved)
     hold_vertices(
-        x, v, inverse_mass, state.planes, settings.body_vertices, settings.body_velocity, settings.body_triangles,
-        settings.offset, settings.friction, settings.push_speed, dt,
+        rows_x, rows_v, inverse_mass, state.planes, settings.body_vertices, settings.body_velocity,
+        settings.body_triangles, settings.offset, settings.friction, settings.push_speed, dt,
     )  # fmt: skip
     hold_pairs(
-        x, v, inverse_mass, state.pairs, settings.body_vertices, settings.body_velocity, settings.friction,
+        rows_x, rows_v, inverse_mass, state.pairs, settings.body_vertices, settings.body_velocity, settings.friction,
         settings.push_speed, dt, moved,
     )  # fmt: skip
     return spent

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.axis_layout import by_axis, by_particle
 from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
 from cloth_core.implicit_matrix import ImplicitMatrix, assemble, limit_forces
 from cloth_core.kernel import kernel
@@ -113,10 +114,16 @@ def implicit_steps(
             continue
         _take_push_back(x, v, terms.inverse_mass, state.push, dt)
         state.base_v[:] = v
-        spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
+        by_axis(x, work.x)
+        by_axis(v, work.v)
+        spent = resolve_contacts(work.x, work.v, terms.inverse_mass, contacts, contact, dt, moved)
+        by_particle(work.v, v)
         _remember_push(v, state.base_v, terms.mass, dt, state.push)
         # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        if keep_within_travel(x, v, contacts, moved) or spent:
+        spent = keep_within_travel(work.x, work.v, contacts, moved) or spent
+        by_particle(work.x, x)
+        by_particle(work.v, v)
+        if spent:
             return step + 1
     return count
 

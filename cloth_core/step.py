@@ -1,8 +1,8 @@
 """One time step: forces of the terms that the scene has, equation 6, contact; many steps in one compiled loop.
 
-The state has a row for each particle, (n, 3): that is what contact wants, which looks at particles here and there.
-Forces run along the rows of the lattice and want a row for each axis, (3, n): they work on a copy in that layout, in
-which the state stays as long as nothing can touch.
+Outside, the state has a row for each particle, (n, 3). Forces run along the rows of the lattice and want a row for
+each axis, (3, n), as does all that is done to each particle alike: the steps work on a copy in that layout, on which
+contact, which looks at particles here and there, has a view with a row for each of them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.bending import bending_forces
+from cloth_core.axis_layout import by_axis, by_particle, particle_rows
 from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
-from cloth_core.euler import euler_by_axis, semi_implicit_euler
+from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel
 from cloth_core.runs import Runs
@@ -95,8 +96,8 @@ class Workspace(NamedTuple):
 @kernel
 def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, work: Workspace) -> None:
     """Sum of all forces on each particle at x, v (n, 3) (paper, equation 1), written to work.force [N]."""
-    _by_axis(x, work.x)
-    _by_axis(v, work.v)
+    by_axis(x, work.x)
+    by_axis(v, work.v)
     _forces(terms, openness, work)
 
 
@@ -122,39 +123,6 @@ def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
 
 
 @kernel
-def _by_axis(rows: Floats, columns: Floats) -> None:
-    """Copy (n, 3) to (3, at least n)."""
-    first, second, third = columns[0], columns[1], columns[2]
-    for i in range(rows.shape[0]):
-        first[i] = rows[i, 0]
-        second[i] = rows[i, 1]
-        third[i] = rows[i, 2]
-
-
-@kernel
-def _by_particle(columns: Floats, rows: Floats) -> None:
-    """Copy (3, at least n) to (n, 3)."""
-    first, second, third = columns[0], columns[1], columns[2]
-    for i in range(rows.shape[0]):
-        rows[i, 0] = first[i]
-        rows[i, 1] = second[i]
-        rows[i, 2] = third[i]
-
-
-@kernel
-def _copy_watched(x: Floats, v: Floats, terms: ForceTerms, work: Workspace, back: bool) -> None:
-    """Copy the ends of the springs near their strain limit from the workspace to x, v (n, 3), or back."""
-    for entry in range(terms.strain_limit.watched_count[0]):
-        for end in range(2):
-            i = terms.spring_pairs[terms.strain_limit.watched[entry], end]
-            for axis in range(3):
-                if back:
-                    work.x[axis, i], work.v[axis, i] = x[i, axis], v[i, axis]
-                else:
-                    x[i, axis], v[i, axis] = work.x[axis, i], work.v[axis, i]
-
-
-@kernel
 def run_steps(
     x: Floats,
     v: Floats,
@@ -172,39 +140,27 @@ def run_steps(
 
     x, v (n, 3) [m, m/s]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
     """
-    watch_strain(x, terms.spring_pairs, terms.strain_limit)
-    if not contact.active:
-        _free_steps(x, v, work, terms, dt, count, openness, openness_rate)
-        return count
-    for step in range(count):
+    by_axis(x, work.x)
+    by_axis(v, work.v)
+    rows_x, rows_v = particle_rows(work.x, x.shape[0]), particle_rows(work.v, x.shape[0])
+    watch_strain(rows_x, terms.spring_pairs, terms.strain_limit)
+    done = 0
+    spent = False
+    while done < count and not spent:
         openness = max(openness - openness_rate * dt, 0.0)
-        total_force(x, v, terms, openness, work)
-        semi_implicit_euler(x, v, work.force, terms.inverse_mass, dt)
-        repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-        spent = resolve_contacts(x, v, terms.inverse_mass, contacts, contact, dt, moved)
-        hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-        # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
-        spent = keep_within_travel(x, v, contacts, moved) or spent
-        if spent and not renew_spent(x, v, contacts, contact.body_vertices, contact.body_triangles, moved, dt):
-            return step + 1
-    return count
-
-
-@kernel
-def _free_steps(
-    x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, count: int, openness: float, rate: float
-) -> None:
-    """The same steps, to the bit, where nothing can touch: the state stays in the layout of the forces meanwhile."""
-    _by_axis(x, work.x)
-    _by_axis(v, work.v)
-    for _ in range(count):
-        openness = max(openness - rate * dt, 0.0)
         _forces(terms, openness, work)
-        euler_by_axis(work.x, work.v, work.force, terms.inverse_mass, dt)
-        if terms.strain_limit.watched_count[0] > 0:
-            _copy_watched(x, v, terms, work, False)
-            repeat_strain_impulses(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-            hold_strain(x, v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
-            _copy_watched(x, v, terms, work, True)
-    _by_particle(work.x, x)
-    _by_particle(work.v, v)
+        semi_implicit_euler(work.x, work.v, work.force, terms.inverse_mass, dt)
+        repeat_strain_impulses(rows_x, rows_v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        if contact.active:
+            spent = resolve_contacts(work.x, work.v, terms.inverse_mass, contacts, contact, dt, moved)
+        hold_strain(rows_x, rows_v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        if contact.active:
+            # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
+            spent = keep_within_travel(work.x, work.v, contacts, moved) or spent
+            spent = spent and not renew_spent(
+                rows_x, rows_v, contacts, contact.body_vertices, contact.body_triangles, moved, dt
+            )
+        done += 1
+    by_particle(work.x, x)
+    by_particle(work.v, v)
+    return done

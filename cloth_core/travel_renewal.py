@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.axis_layout import particle_rows
 from cloth_core.body_contact import arm
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.kernel import inlined_kernel, kernel
@@ -216,18 +217,19 @@ def _renew(
             return -1
     travel = min(BODY_TRAVEL * travel, granted)
     for axis in range(3):
-        state.origin[p, axis] = x[p, axis]
+        state.origin[axis, p] = x[p, axis]
     renewal.way[p] = way
     state.travel[p] = granted
     moved[p] = 0.0
     renewal.renewed[p] = renewal.turn[0]
     closest = np.zeros(3)
+    origin = particle_rows(state.origin, x.shape[0])
     for entry in range(renewal.start[p], renewal.start[p + 1]):
         s = renewal.entries[entry]
         needed = COUNTS_FROM * pairs.offset[s] + nearer_by(pairs.kind, pairs.particles, s, state.travel)
         distance = pairs.distance[s] - nearer_by(pairs.kind, pairs.particles, s, renewal.way)
         if distance < needed:
-            distance = np.sqrt(measure_pair(state.origin, pairs, s, body_x, closest))
+            distance = np.sqrt(measure_pair(origin, pairs, s, body_x, closest))
         if distance < needed and renewal.place[s] < 0:
             renewal.place[s] = pairs.listed_count[0]
             pairs.listed[pairs.listed_count[0]] = s
@@ -250,7 +252,7 @@ def _renew(
                         count += 1
             if not all_here:
                 continue
-            room = room_of_pair(state.origin, pairs, s, body_x, closest, distance)
+            room = room_of_pair(origin, pairs, s, body_x, closest, distance)
             if room >= 0.0:
                 for k in range(4):
                     q = pairs.particles[s, k]
