@@ -15,8 +15,9 @@ from cloth_core.errors import SceneError
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
 from cloth_core.near_distances import point_triangle_distances, segment_distances
-from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
+from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, PUSH_TIME
 from cloth_core.pair_list import doubled, write_pair
+from cloth_core.separating_planes import SeparatingPlanes, pairs_near, separate
 
 __all__ = ["BodyContact", "VertexPlanes", "arm", "hold_vertices", "vertex_body_gaps"]
 
@@ -24,11 +25,16 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Sides and body corners are held off at this share of the vertices' offset: they only act where vertices cannot.
-_SIDE_OFFSET_SHARE = 0.5
+_SIDE_OFFSET_SHARE = 0.3
+# How much higher than where sides count the corners of a triangle must be above a plane for it to be worth one, as a
+# share of the vertices' offset.
+_CLEAR_SHARE = 0.1
 # A vertex's contact planes are renewed when it has moved by this share of the offset; it has some from twice this share
 # beyond the offset on.
 _RENEWAL_SHARE = 0.05
 _MOST_PLANES = 3
+# Where in a plane's row its gap and its velocity are, behind its normal.
+_GAP, _VELOCITY = 3, 4
 # Pairs of triangles whose boxes overlap, in all and for each triangle of body and cloth: surfaces have a few each. More
 # would take memory and time out of all proportion.
 _MOST_PAIRS, _PAIRS_PER_TRIANGLE = 100_000, 16
@@ -44,11 +50,10 @@ class VertexPlanes(NamedTuple):
         body_triangle: body triangles within reach.
         distance: to each of them at the broad phase [m].
         plane_count: contact planes of each particle, (n,); -1 before they are first computed.
-        normal: unit normals pointing away from the body, (n, 3, 3).
-        gap: distance to the offset surface at `at` [m], (n, 3).
-        velocity: of the body at each plane's closest point [m/s], (n, 3, 3).
-        at: where the planes were computed [m], (n, 3).
-        renewal: squared way from there after which they are renewed [m^2], (n,).
+        plane: of each the unit normal away from the body, the distance to the offset surface at `at` [m] and the
+            velocity of the body at its closest point [m/s], side by side, (n, 3, 7).
+        at: where the planes were computed [m], and the squared way from there after which they are renewed [m^2],
+            (n, 4).
         armed: particles that can come to the offset surface before the next search; the first armed_count[0] count.
         is_armed: whether each is one of them, (n,).
     """
@@ -57,11 +62,8 @@ class VertexPlanes(NamedTuple):
     body_triangle: Ints
     distance: Floats
     plane_count: Ints
-    normal: Floats
-    gap: Floats
-    velocity: Floats
+    plane: Floats
     at: Floats
-    renewal: Floats
     armed: Ints
     armed_count: Ints
     is_armed: NDArray[np.bool_]
@@ -72,11 +74,8 @@ class VertexPlanes(NamedTuple):
         return cls(
             *_by_particle(particle_count, pairs, distance),
             plane_count=np.full(particle_count, -1, dtype=np.int32),
-            normal=np.zeros((particle_count, _MOST_PLANES, 3)),
-            gap=np.zeros((particle_count, _MOST_PLANES)),
-            velocity=np.zeros((particle_count, _MOST_PLANES, 3)),
-            at=np.zeros((particle_count, 3)),
-            renewal=np.zeros(particle_count),
+            plane=np.zeros((particle_count, _MOST_PLANES, 7)),
+            at=np.zeros((particle_count, 4)),
             armed=np.zeros(particle_count, dtype=np.int32),
             armed_count=np.zeros(1, dtype=np.int32),
             is_armed=np.zeros(particle_count, dtype=np.bool_),
@@ -118,28 +117,40 @@ class BodyContact:
     Args:
         body: the obstacle.
         offset: distance at which cloth vertices are held from the body [m].
+
+    Attributes:
+        moves: whether the body is on its way somewhere; no plane separates anything from it for long then.
     """
 
     def __init__(self, body: Body, offset: float) -> None:
         self.body = body
         self.offset = offset
+        self.moves = False
         self.side_offset = _SIDE_OFFSET_SHARE * offset
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
+        self._cloth_boxes = (np.zeros((0, 8)), np.zeros((0, 8)))
         self._boxes: tuple[Floats, Floats] | None = None
         self._boxes_of: Body | None = None
 
     def candidates(
-        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float | Floats
-    ) -> tuple[VertexPlanes, Ints, Floats, Floats]:
+        self,
+        x: Floats,
+        triangles: Ints,
+        cloth: Representatives,
+        tree: AabbTree,
+        radius: float | Floats,
+        separating: SeparatingPlanes,
+    ) -> tuple[VertexPlanes, SeparatingPlanes, Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
 
         Args:
             x, triangles, cloth: positions [m], the cloth's triangles and who owns what.
             tree: of the cloth's triangles, its boxes enlarged by at least offset + radius.
             radius: [m], for all or for each particle, (n,).
+            separating: without any plane.
 
         Returns:
-            the vertex pairs; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
+            the vertex pairs; planes that make other pairs superfluous; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
         """
         most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * (len(triangles) + len(self.body.triangles))
         found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
@@ -153,20 +164,44 @@ class BodyContact:
             found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
         body = self.body
         body_x, own = body.vertices, body.representatives
+        if not self.moves:
+            lowest = COUNTS_FROM * self.side_offset
+            separating = separating._replace(lowest=lowest, high=lowest + _CLEAR_SHARE * self.offset)
+            start, near = separate(x, separating, body_x, body.triangles, self._leaf_pairs[:found])
+            separating = separating._replace(near_start=start, near=near)
         margin = np.ascontiguousarray(np.broadcast_to(self.side_offset + radius, len(x)))
-        cloth_triangles, cloth_edges = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
+        cloth_boxes = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
+        self._cloth_boxes = cloth_boxes
         reach = margin + (self.offset - self.side_offset)
         vertices, corners, sides = _box_pairs(
-            x, reach, cloth, cloth_triangles, cloth_edges, body_x, own, *self._body_boxes(), self._leaf_pairs[:found]
-        )
+            x, reach, cloth, *cloth_boxes, body_x, own, *self._body_boxes(), self._leaf_pairs[:found],
+            separating.separated,
+        )  # fmt: skip
         distance = point_triangle_distances(x, body_x, body.triangles, vertices)
         near = distance < reach[vertices[:, 0]]
         planes = VertexPlanes.of(len(x), vertices[near], distance[near])
+        return planes, separating, *self._near_pairs(x, triangles, cloth, corners, sides)
+
+    def further_pairs(
+        self, x: Floats, triangles: Ints, cloth: Representatives, separating: SeparatingPlanes, lost: Ints
+    ) -> tuple[Ints, Floats, Floats]:
+        """What `candidates` would have found besides at x (n, 3) [m], had the triangles lost (k,) had no plane."""
+        _, corners, sides = _box_pairs(
+            x, np.zeros(len(x)), cloth, *self._cloth_boxes, self.body.vertices, self.body.representatives,
+            *self._body_boxes(), pairs_near(separating, lost), separating.separated,
+        )  # fmt: skip
+        return self._near_pairs(x, triangles, cloth, corners, sides)
+
+    def _near_pairs(
+        self, x: Floats, triangles: Ints, cloth: Representatives, corners: Ints, sides: Ints
+    ) -> tuple[Ints, Floats, Floats]:
+        body_x, body_edges = self.body.vertices, self.body.representatives.edges
+        cloth_triangles, cloth_edges = self._cloth_boxes
         rows, distance = _near_pairs(
             corners, point_triangle_distances(body_x, x, triangles, corners), triangles, cloth_triangles,
-            sides, segment_distances(x, cloth.edges, body_x, own.edges, sides), cloth.edges, cloth_edges, own.edges,
+            sides, segment_distances(x, cloth.edges, body_x, body_edges, sides), cloth.edges, cloth_edges, body_edges,
         )  # fmt: skip
-        return planes, rows, np.full(len(rows), self.side_offset), distance
+        return rows, np.full(len(rows), self.side_offset), distance
 
     def _body_boxes(self) -> tuple[Floats, Floats]:
         """Boxes of the body's triangles and sides, (t, 8) and (e, 8), as long as it stays where it is."""
@@ -192,10 +227,12 @@ def _box_pairs(
     body_triangles: Floats,
     body_edges: Floats,
     leaf_pairs: Ints,
+    separated: NDArray[np.bool_],
 ) -> tuple[Ints, Ints, Ints]:
     """Whose boxes overlap in pairs of triangles (p, 2): each twice the index of what the cloth and the body have there.
 
     Shapes: x (n, 3) and margin (n,) of the cloth's vertices [m]; boxes of the triangles and sides of both (any, 8).
+    Cloth triangles that are separated (m,) have no pair but those of their vertices.
 
     Returns:
         (cloth vertex, body triangle), (body vertex, cloth triangle) and (cloth side, body side), (any, 2) each.
@@ -214,6 +251,8 @@ def _box_pairs(
             i = cloth.own_vertices[ct, 1 + k]
             vertices[vertex_count, 0], vertices[vertex_count, 1] = i, bt
             vertex_count += in_box(x, i, margin[i], body_triangles, bt)
+        if separated[ct]:
+            continue
         for k in range(body.own_vertices[bt, 0]):
             j = body.own_vertices[bt, 1 + k]
             corners[corner_count, 0], corners[corner_count, 1] = j, ct
@@ -323,31 +362,29 @@ def _renew_planes(
         gap = distance - offset
         slot = -1
         for k in range(count):
-            along = nx * planes.normal[i, k, 0] + ny * planes.normal[i, k, 1] + nz * planes.normal[i, k, 2]
+            along = nx * planes.plane[i, k, 0] + ny * planes.plane[i, k, 1] + nz * planes.plane[i, k, 2]
             if along > 0.97:
                 slot = k
                 break
         if slot < 0 and count < _MOST_PLANES:
             slot = count
             count += 1
-            planes.gap[i, slot] = np.inf
+            planes.plane[i, slot, _GAP] = np.inf
         if slot < 0:  # all in use: the one farthest away gives way to a nearer one
             slot = 0
             for k in range(1, _MOST_PLANES):
-                if planes.gap[i, k] > planes.gap[i, slot]:
+                if planes.plane[i, k, _GAP] > planes.plane[i, slot, _GAP]:
                     slot = k
-        if gap < planes.gap[i, slot]:
-            planes.gap[i, slot] = gap
-            planes.normal[i, slot, 0] = nx
-            planes.normal[i, slot, 1] = ny
-            planes.normal[i, slot, 2] = nz
+        if gap < planes.plane[i, slot, _GAP]:
+            plane = planes.plane[i, slot]
+            plane[0], plane[1], plane[2], plane[_GAP] = nx, ny, nz, gap
             for axis in range(3):
-                planes.velocity[i, slot, axis] = u * body_v[a, axis] + v * body_v[b, axis] + w * body_v[c, axis]
+                plane[_VELOCITY + axis] = u * body_v[a, axis] + v * body_v[b, axis] + w * body_v[c, axis]
     planes.plane_count[i] = count
     free = max(np.sqrt(clear) - offset, renewal) if count == 0 else renewal
-    planes.renewal[i] = free * free
     for axis in range(3):
         planes.at[i, axis] = x[i, axis]
+    planes.at[i, 3] = free * free
 
 
 @kernel
@@ -370,28 +407,24 @@ def hold_vertices(
         i = planes.armed[entry]
         if inverse_mass[i] == 0.0:
             continue
-        dx = x[i, 0] - planes.at[i, 0]
-        dy = x[i, 1] - planes.at[i, 1]
-        dz = x[i, 2] - planes.at[i, 2]
-        if planes.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > planes.renewal[i]:
+        px, py, pz = x[i, 0], x[i, 1], x[i, 2]
+        dx, dy, dz = px - planes.at[i, 0], py - planes.at[i, 1], pz - planes.at[i, 2]
+        if planes.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > planes.at[i, 3]:
             _renew_planes(i, x, planes, body_x, body_v, body_triangles, offset, renewal)
         held = planes.plane_count[i]
+        if held == 0:
+            continue
+        ax, ay, az = planes.at[i, 0], planes.at[i, 1], planes.at[i, 2]
         # One plane is settled in one go; in a crease the planes disturb each other.
         for _ in range(1 if held == 1 else _SWEEPS):
             for k in range(held):
-                nx, ny, nz = planes.normal[i, k, 0], planes.normal[i, k, 1], planes.normal[i, k, 2]
-                gap = (
-                    planes.gap[i, k]
-                    + nx * (x[i, 0] - planes.at[i, 0])
-                    + ny * (x[i, 1] - planes.at[i, 1])
-                    + nz * (x[i, 2] - planes.at[i, 2])
-                )
+                plane = planes.plane[i, k]
+                nx, ny, nz = plane[0], plane[1], plane[2]
+                gap = plane[_GAP] + nx * (px - ax) + ny * (py - ay) + nz * (pz - az)
                 if gap >= 0.0:
                     continue
                 # Relative to the body, which may move.
-                rx = v[i, 0] - planes.velocity[i, k, 0]
-                ry = v[i, 1] - planes.velocity[i, k, 1]
-                rz = v[i, 2] - planes.velocity[i, k, 2]
+                rx, ry, rz = v[i, 0] - plane[_VELOCITY], v[i, 1] - plane[_VELOCITY + 1], v[i, 2] - plane[_VELOCITY + 2]
                 approach = nx * rx + ny * ry + nz * rz
                 push = _push(gap, approach, push_speed, dt)
                 if push <= 0.0:
@@ -403,9 +436,10 @@ def hold_vertices(
                 v[i, 0] += stop * nx - hold * tx
                 v[i, 1] += stop * ny - hold * ty
                 v[i, 2] += stop * nz - hold * tz
-                x[i, 0] += push * nx - hold * tx * dt
-                x[i, 1] += push * ny - hold * ty * dt
-                x[i, 2] += push * nz - hold * tz * dt
+                px += push * nx - hold * tx * dt
+                py += push * ny - hold * ty * dt
+                pz += push * nz - hold * tz * dt
+        x[i, 0], x[i, 1], x[i, 2] = px, py, pz
 
 
 @inlined_kernel
