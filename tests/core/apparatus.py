@@ -12,6 +12,7 @@ import shapely
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_core import contact
 from cloth_core.bending import Bending, bending_forces
 from cloth_core.body import Body
 from cloth_core.contact import ContactSettings, ContactState
@@ -31,6 +32,7 @@ __all__ = [
     "bending_force",
     "body_of",
     "by_axis",
+    "keep_within_travel",
     "chain",
     "crossings",
     "do_steps",
@@ -161,6 +163,14 @@ def throw(simulation: Simulation, velocity: ArrayLike) -> None:
 
 
 # ---- bare steps, without a Simulation
+
+
+def keep_within_travel(x: Floats, v: Floats, found: ContactState, moved: Floats) -> bool:
+    """That of the package for x, v with a row for each particle, (n, 3), in place."""
+    columns, speeds = by_axis(x), by_axis(v)
+    spent = contact.keep_within_travel(columns, speeds, found, moved)
+    x[:], v[:] = columns.T, speeds.T
+    return bool(spent)
 
 
 def by_axis(a: ArrayLike) -> Floats:

@@ -18,10 +18,11 @@ def test_equation_6_takes_the_new_velocity_for_the_new_position():
     new_v = v + dt * a
     new_x = x + dt * new_v
     explicit_x = x + dt * v
+    x, v = by_axis(x), by_axis(v)
     semi_implicit_euler(x, v, by_axis(force), 1.0 / mass, dt)
-    np.testing.assert_allclose(v, new_v, rtol=1e-14, atol=1e-15)
-    np.testing.assert_allclose(x, new_x, rtol=1e-14, atol=1e-15)
-    assert np.abs(x - explicit_x).max() > 1e-5  # the explicit method would have gone elsewhere
+    np.testing.assert_allclose(v.T, new_v, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(x.T, new_x, rtol=1e-14, atol=1e-15)
+    assert np.abs(x.T - explicit_x).max() > 1e-5  # the explicit method would have gone elsewhere
 
 
 def test_equation_6_uses_the_force_at_the_old_position():
@@ -36,8 +37,8 @@ def test_equation_6_uses_the_force_at_the_old_position():
 
 
 def test_a_particle_of_no_inverse_mass_stays():
-    x, v, force = np.zeros((1, 3)), np.zeros((1, 3)), np.full((1, 3), 1e6)
-    semi_implicit_euler(x, v, by_axis(force), np.zeros(1), 0.1)
+    x, v, force = np.zeros((3, 1)), np.zeros((3, 1)), np.full((3, 1), 1e6)
+    semi_implicit_euler(x, v, force, np.zeros(1), 0.1)
     assert not x.any()
     assert not v.any()
 

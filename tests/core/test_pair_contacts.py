@@ -73,7 +73,7 @@ def test_impulses_are_those_of_sweeping_over_the_contacts_one_by_one(seed: int, 
     x, v, inverse_mass, state = two_layers(seed)
     x += DT * v
     start_x, start_v = x.copy(), v.copy()
-    moved = ((x - state.origin) ** 2).sum(axis=1)
+    moved = ((x - state.origin.T) ** 2).sum(axis=1)
     hold_pairs(x, v, inverse_mass, state.pairs, NOTHING, NOTHING, friction, PUSH_SPEED, DT, moved)
     impulse = plainly_held(start_x, start_v, inverse_mass, state.pairs, friction)
     assert np.count_nonzero(impulse) > 10

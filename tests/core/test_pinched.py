@@ -9,13 +9,13 @@ import igl.predicates
 import numpy as np
 import pytest
 import trimesh
-from apparatus import body_of, crossings, placed, sheet
+from apparatus import body_of, crossings, keep_within_travel, placed, sheet
 from naive_geometry import edge_edge_distance, point_triangle_distance
 from scipy.spatial.transform import Rotation
 
 from cloth_core.body import Body
 from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact, ContactState, keep_within_travel
+from cloth_core.contact import Contact, ContactState
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.intersections import self_crossing_edges

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 from all_pairs import all_pairs, crumpled, free_ways
-from apparatus import sheet
+from apparatus import keep_within_travel, sheet
 from naive_geometry import edge_edge_distance, point_triangle_distance
 
 from cloth_core.body import Body
 from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact, ContactState, keep_within_travel
+from cloth_core.contact import Contact, ContactState
 from cloth_core.mesh_topology import unique_edges
 from cloth_core.near_planes import NEAR
 from cloth_core.pair_contacts import CLOTH_VERTEX
@@ -54,17 +54,17 @@ def test_two_parts_of_cloth_together_may_never_travel_as_far_as_they_are_apart(s
         if not renew_spent(x, np.zeros_like(x), found, *NO_BODY, moved, STEP):
             found = renewable(contact.search(x, 0.002))
             continue
-        new = (found.origin != before).any(axis=1)
+        new = (found.origin != before).any(axis=0)
         renewals += int(new.sum())
-        np.testing.assert_array_equal(found.origin[new], x[new])
+        np.testing.assert_array_equal(found.origin.T[new], x[new])
         assert (moved[new] == 0.0).all()
         # Everybody is inside of its ball, none has used it up, and the balls of two parts do not come together.
-        way = np.linalg.norm(x - found.origin, axis=1)
+        way = np.linalg.norm(x - found.origin.T, axis=1)
         assert (way <= 0.651 * found.travel).all()
-        every = all_pairs(found.origin, garment.triangles, identity)
-        together, distance = free_ways(found.origin, found.travel, every)
+        every = all_pairs(found.origin.T, garment.triangles, identity)
+        together, distance = free_ways(found.origin.T, found.travel, every)
         broad_x = found.renewal.broad_x
-        from_broad = np.linalg.norm(found.origin - broad_x, axis=1) + found.travel
+        from_broad = np.linalg.norm(found.origin.T - broad_x, axis=1) + found.travel
         all_together, broad_distance = free_ways(broad_x, from_broad, all_pairs(broad_x, garment.triangles, identity))
         apart = distance > NEAR
         # Or they were so far apart at the broad phase that both can go nowhere near each other.
@@ -74,7 +74,7 @@ def test_two_parts_of_cloth_together_may_never_travel_as_far_as_they_are_apart(s
         listed = pairs.listed[:count]
         assert len(set(listed.tolist())) == count
         kind, rows = pairs.kind[listed], pairs.particles[listed]
-        p = found.origin[rows].transpose(1, 0, 2)
+        p = found.origin.T[rows].transpose(1, 0, 2)
         exact = np.sqrt(np.where(kind == CLOTH_VERTEX, point_triangle_distance(*p), edge_edge_distance(*p)))
         assert (pairs.listed_distance[:count] <= exact + 1e-9).all()
         keys = {key(k == CLOTH_VERTEX, row) for k, row in zip(kind, rows.tolist(), strict=True)}
@@ -127,10 +127,10 @@ def test_cloth_may_never_travel_as_far_as_it_is_from_a_body(seed):
         if not renew_spent(x, np.zeros_like(x), found, body.vertices, body.triangles, moved, STEP):
             found = renewable(contact.search(x, 0.01))
             continue
-        renewals += int((found.origin != before).any(axis=1).sum())
+        renewals += int((found.origin != before).any(axis=0).sum())
         broad_x = found.renewal.broad_x
-        from_broad = np.linalg.norm(found.origin - broad_x, axis=1) + found.travel
-        here = zip(*distances_to(body, found.origin, found.travel, garment.triangles), strict=True)
+        from_broad = np.linalg.norm(found.origin.T - broad_x, axis=1) + found.travel
+        here = zip(*distances_to(body, found.origin.T, found.travel, garment.triangles), strict=True)
         there = zip(*distances_to(body, broad_x, from_broad, garment.triangles), strict=True)
         for (nearest, free), (broad_distance, all_the_way) in zip(here, there, strict=True):
             enough = (free <= 0.901 * nearest) | (all_the_way <= broad_distance - 0.0015)
