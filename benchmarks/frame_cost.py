@@ -133,7 +133,7 @@ def measure(directory: Path, count: int) -> dict[str, Any]:
         latencies = latency(paced.publish, x, triangles, received, count)
         share = effect(paced, directory)
     finally:
-        listener.terminate()
+        listener.kill()  # DDS may never end a process that was asked to end while it took a frame
         listener.wait()
         rclpy.shutdown()
     return {"rows": watch.rows, "latency": latencies, **share, **compression(frames), "bytes": len(frames[0])}
