@@ -296,8 +296,8 @@ From the end of a step to the subscriber's callback: {found["latency"]["median"]
 {found["latency"]["95 %"]:.1f} ms (95 %), {found["latency"]["frames"]} frames.
 
 A simulation of {found["triangles"]} triangles does {found["steps_alone"]:.0f} steps per second of processor time of its
-thread alone, and {found["steps_served"]:.0f} with {RATE:.0f} frames a second published and recorded (by threads of
-their own, as in the node): it loses {lost:.1f} %. By the wall clock, on the machine as it was,
+thread alone, and {found["steps_served"]:.0f} with {RATE:.0f} frames a second encoded, published and recorded (by
+threads of their own, as in the node): it loses {lost:.1f} %. By the wall clock, on the machine as it was,
 {found["clock_alone"]:.0f} and {found["clock_served"]:.0f}: {lost_by_clock:.1f} %.
 """
 
