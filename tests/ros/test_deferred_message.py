@@ -1,6 +1,7 @@
 """A message is encoded once, in a thread that wants it, and not at all if nobody does."""
 
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from cloth_sim_ros.delivery import PacedPublisher
 from cloth_sim_ros.log_reader import LogReader
 from cloth_sim_ros.log_writer import LogError, LogWriter
 from cloth_sim_ros.messages import MarkerEncoder, decode_marker
+from cloth_sim_ros.node import ClothSimNode
 from cloth_sim_ros.outlet import Outlet
 from cloth_sim_ros.run_messages import RunMessages
 from cloth_sim_ros.sending_thread import SendingThread
@@ -193,6 +195,10 @@ def test_waiting_frames_count_with_the_size_that_they_will_have():
     assert len(encode.threads) == 1  # by `bytes`, which sent the second
 
 
+def frames_of(bench):
+    return [message for topic, message in list(bench.listener.messages) if topic is GARMENT]
+
+
 def test_frames_of_a_run_are_encoded_later_and_hold_what_the_garment_was(tmp_path, monkeypatch):
     """The listener wants no bytes before the run has moved on; the truth is a simulation of its own."""
     encoded = []
@@ -207,10 +213,10 @@ def test_frames_of_a_run_are_encoded_later_and_hold_what_the_garment_was(tmp_pat
     try:
         bench.give(handkerchief(), box=False)
         bench.worker.start()
-        bench.listener.wait(lambda: len(bench.listener.of(GARMENT)) >= 5)
+        bench.listener.wait(lambda: len(frames_of(bench)) >= 5)
         bench.worker.pause()
         bench.wait_for_state("paused")
-        frames = bench.listener.of(GARMENT)
+        frames = frames_of(bench)
         assert encoded == []
         markers = [decode_marker(bytes(frame)) for frame in frames]
         assert len(encoded) == len(frames)
@@ -237,3 +243,14 @@ def test_positions_that_were_taken_stay_as_they_were(coarse):
     moved.tick()
     assert np.array_equal(taken, before)
     assert not np.array_equal(simulation.positions, before)
+
+
+def test_the_node_hands_a_frame_on_without_encoding_it():
+    publisher, encode = Publisher(), Encoder()
+    listener = Listener(publisher)
+    node = SimpleNamespace(_paced={GARMENT: listener.paced}, _sending=listener.sending)
+    ClothSimNode.send(node, GARMENT, DeferredMessage(5, encode))  # or it would wait here
+    encode.may.set()
+    listener.sending.close(PATIENCE)
+    assert publisher.sent == [b"frame"]
+    assert encode.threads == ["cloth_sim sending"]
