@@ -2,9 +2,11 @@
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from queue import Queue
 
+from cloth_sim_ros.deferred_message import Message
 from cloth_sim_ros.log_writer import LogError, LogWriter
 from cloth_sim_ros.topics import Topic
 
@@ -26,14 +28,14 @@ class BackgroundLog:
         self.path: Path = log.path
         self._log = log
         self._failed = failed
-        self._waiting: Queue[tuple[Topic, int, bytes] | None] = Queue(MOST_WAITING)
+        self._waiting: Queue[tuple[Topic, int, Message] | None] = Queue(MOST_WAITING)
         self._error: LogError | None = None
         self._thread = threading.Thread(target=self._loop, name="cloth_sim recording", daemon=True)
         self._thread.start()
 
-    def write(self, topic: Topic, log_time: int, data: bytes) -> None:
+    def write(self, topic: Topic, log_time: int, message: Message) -> None:
         """Takes a CDR message at `log_time` [ns since 1970]."""
-        self._waiting.put((topic, log_time, data))
+        self._waiting.put((topic, log_time, message))
 
     def close(self) -> None:
         """Ends the log; it is complete on return.
@@ -53,6 +55,10 @@ class BackgroundLog:
                 continue
             try:
                 self._log.write(*message)
-            except LogError as error:
+            except Exception as error:  # a thread that ended here would leave all who send waiting
+                if not isinstance(error, LogError):
+                    with suppress(LogError):
+                        self._log.close()
+                    error = LogError(f"log {self.path}: {type(error).__name__}: {error}; please report it")
                 self._error = error
                 self._failed(self, error)

@@ -8,9 +8,12 @@ from pathlib import Path
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Empty
+
+from cloth_sim_ros.deferred_message import Message
+from cloth_sim_ros.unlocked_publisher import Outgoing, unlocked
 
 __all__ = ["Departure", "PacedPublisher", "configure_fast_dds"]
 
@@ -38,10 +41,10 @@ class Departure:
     TOPIC = "~/_sent"
 
     def __init__(self, node: Node) -> None:
-        self._publisher = node.create_publisher(Empty, self.TOPIC, QoSProfile(depth=1))
+        self._publisher = unlocked(node.create_publisher(Empty, self.TOPIC, QoSProfile(depth=1)))
         # Whether its messages are ever taken does not matter.
         node.create_subscription(Empty, self.TOPIC, lambda _: None, QoSProfile(depth=1))
-        self._message = Empty()
+        self._message = bytes(serialize_message(Empty()))
 
     def mark(self) -> None:
         """Says that something has been handed over."""
@@ -49,7 +52,7 @@ class Departure:
 
     def is_over(self) -> bool:
         """Whether all has been sent that was handed over before the last mark."""
-        return bool(self._publisher.wait_for_all_acked(Duration()))
+        return self._publisher.wait_for_all_acked(Duration())
 
 
 class PacedPublisher:
@@ -64,14 +67,15 @@ class PacedPublisher:
         departure: of the same node
     """
 
-    def __init__(self, publisher: Publisher, departure: Departure) -> None:
+    def __init__(self, publisher: Outgoing, departure: Departure) -> None:
         self._publisher = publisher
         self._departure = departure
         self._in_time = True
 
-    def publish(self, data: bytes) -> None:
+    def publish(self, message: Message) -> None:
         """Publishes CDR bytes as they are; waits, at worst for seconds."""
-        # Each look is one of no duration: with one it would wait with Python's lock held, and no service would answer.
+        data = bytes(message)  # encoded while the one before is still on its way
+        # Each look is one of no duration: with one, rclpy waits with Python's lock held, and no service would answer.
         _wait(self._departure.is_over, DEPARTURE_PATIENCE)
         self._in_time = _wait(
             lambda: self._publisher.wait_for_all_acked(Duration()), PATIENCE if self._in_time else IMPATIENCE

@@ -10,6 +10,7 @@ from types import TracebackType
 from mcap.writer import CompressionType, IndexType, Writer
 
 from cloth_core.errors import ClothError
+from cloth_sim_ros.deferred_message import Message
 from cloth_sim_ros.log_compression import FastWriter
 from cloth_sim_ros.log_repair import end_log
 from cloth_sim_ros.messages import message_definition
@@ -91,7 +92,7 @@ class LogWriter:
         """True after `close` and after a failed write."""
         return self._writer is None
 
-    def write(self, topic: Topic, log_time: int, data: bytes) -> None:
+    def write(self, topic: Topic, log_time: int, message: Message) -> None:
         """Appends a CDR message at `log_time` [ns since 1970].
 
         Raises:
@@ -102,6 +103,7 @@ class LogWriter:
             self._raise_failure()
             if self._writer is None:
                 raise LogError(f"log {self.path}: it is closed; start another one")
+            data = bytes(message)
             try:
                 if topic not in self._channels:
                     self._channels[topic] = self._register(self._writer, topic)

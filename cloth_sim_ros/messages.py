@@ -161,6 +161,13 @@ class MarkerEncoder:
         self._before_count = _marker_fields_before_points(frame_id, namespace, identifier, color)
         self._after_points = _marker_fields_after_points()
 
+    def size(self, triangle_count: int) -> int:
+        """Length [bytes] of a message of so many triangles."""
+        head = len(self._before_count) + 4
+        if triangle_count:
+            head += (4 - head) % 8
+        return head + 3 * 24 * triangle_count + len(self._after_points)
+
     def encode(self, stamp: int, vertices: FloatArray, triangles: IntArray) -> bytes:
         """Marker at `stamp` [ns since 1970] of the triangles (m, 3) of the vertices [m], (n, 3)."""
         head = bytearray(self._before_count)

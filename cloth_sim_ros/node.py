@@ -33,6 +33,7 @@ from cloth_core.errors import ClothError, PatternError, SceneError
 from cloth_core.grasp import Pose
 from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
+from cloth_sim_ros.deferred_message import Message
 from cloth_sim_ros.delivery import Departure, PacedPublisher, configure_fast_dds
 from cloth_sim_ros.messages import decode_mesh, decode_string
 from cloth_sim_ros.node_parameters import PARAMETERS, NodeParameter, check, scene_parameters, worker_settings
@@ -40,6 +41,7 @@ from cloth_sim_ros.rclpy_topics import MESSAGE_CLASSES, qos_profile
 from cloth_sim_ros.sending_thread import SendingThread
 from cloth_sim_ros.simulation_services import SimulationServices, import_types
 from cloth_sim_ros.topics import BODY, BODY_MARKER, CLOCK, DIAGNOSTICS, GARMENT, PATTERN, REPORT, Topic
+from cloth_sim_ros.unlocked_publisher import unlocked
 from cloth_sim_ros.warm_up import warm_up
 from cloth_sim_ros.worker import SimulationWorker
 
@@ -170,7 +172,7 @@ class ClothSimNode(Node):
             publisher = self.create_publisher(message_class, name, qos_profile(topic.qos))
             self._publishers_of[topic] = publisher
             if topic.qos.latched:
-                self._paced[topic] = PacedPublisher(publisher, departure)
+                self._paced[topic] = PacedPublisher(unlocked(publisher), departure)
 
     def _create_subscriptions(self) -> None:
         for topic, callback in ((PATTERN, self._on_pattern), (BODY, self._on_body)):
@@ -314,13 +316,13 @@ class ClothSimNode(Node):
         subscribed = self.context.ok() and self._publishers_of[GARMENT].get_subscription_count() > 0
         return subscribed and not self._sending.is_behind()
 
-    def send(self, topic: Topic, data: bytes) -> None:
+    def send(self, topic: Topic, message: Message) -> None:
         """Publishes CDR bytes as they are; what is latched in its order, but later."""
         if topic in self._paced:
-            self._sending.send(topic.name, self._paced[topic].publish, data)
+            self._sending.send(topic.name, self._paced[topic].publish, message)
         elif topic in self._publishers_of:
             try:
-                self._publishers_of[topic].publish(data)
+                self._publishers_of[topic].publish(bytes(message))
             except Exception as error:
                 self._on_send_error(topic.name, error)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from cloth_sim_ros.background_log import BackgroundLog
+from cloth_sim_ros.deferred_message import Message
 from cloth_sim_ros.log_writer import LogError, LogWriter
 from cloth_sim_ros.topics import GARMENT, Topic
 
@@ -20,7 +21,7 @@ class Listener(Protocol):
     def wants_frames(self) -> bool:
         """Whether a frame sent now would reach anybody."""
 
-    def send(self, topic: Topic, data: bytes) -> None:
+    def send(self, topic: Topic, message: Message) -> None:
         """A CDR message for a topic."""
 
     def inform(self, line: str) -> None:
@@ -39,7 +40,7 @@ class Outlet:
         self._lock = threading.Lock()
         self._log: BackgroundLog | None = None
         self._log_failure = ""
-        self._latched: dict[Topic, bytes | Callable[[], bytes]] = {}
+        self._latched: dict[Topic, Message | Callable[[], bytes]] = {}
         self._last_stamp = 0
 
     @property
@@ -67,21 +68,21 @@ class Outlet:
         return self._log is not None or self._listener.wants_frames()
 
     def send(
-        self, topic: Topic, data: bytes, stamp: int | None = None, latched: Callable[[], bytes] | None = None
+        self, topic: Topic, message: Message, stamp: int | None = None, latched: Callable[[], bytes] | None = None
     ) -> None:
         """Sends at a time of the run [ns since 1970], by default that of the message before.
 
         A log that cannot be written ends with one warning; sending goes on. A log that starts later begins with what
-        `latched` gives by then instead of `data`, if it is given.
+        `latched` gives by then instead of `message`, if it is given.
         """
         with self._lock:
             self._last_stamp = stamp or self._last_stamp or time.time_ns()
             if topic.qos.latched:
-                self._latched[topic] = data if latched is None else latched
+                self._latched[topic] = message if latched is None else latched
             log = self._log
             if log is not None:
-                log.write(topic, self._last_stamp, data)
-        self._listener.send(topic, data)
+                log.write(topic, self._last_stamp, message)
+        self._listener.send(topic, message)
 
     def forget(self, topic: Topic) -> None:
         """A log that starts from now on does not start with this topic's last message."""
@@ -98,9 +99,9 @@ class Outlet:
             if self._log is not None:
                 raise LogError(f"record: {self._log.path} is being recorded; stop that first")
             log = BackgroundLog(LogWriter(path, self._node_name), self._on_log_failed)
-            for topic, data in self._latched.items():
+            for topic, last in self._latched.items():
                 if topic != GARMENT:
-                    log.write(topic, self._last_stamp, data if isinstance(data, bytes) else data())
+                    log.write(topic, self._last_stamp, last() if callable(last) else last)
             self._log, self._log_failure = log, ""
 
     def stop_log(self) -> Path:

@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
+from cloth_sim_ros.deferred_message import DeferredMessage
 from cloth_sim_ros.messages import NANOSECONDS, Color, MarkerEncoder
 
 __all__ = ["BODY_COLOR", "GARMENT_COLOR", "RunMessages"]
@@ -45,6 +46,14 @@ class RunMessages:
     ) -> bytes:
         """Marker of the garment with positions [m], (n, 3), and triangles (m, 3) at `simulated_time` [s]."""
         return self._garment.encode(self.stamp(simulated_time), positions, triangles)
+
+    def deferred_garment(
+        self, simulated_time: float, positions: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]
+    ) -> DeferredMessage:
+        """The same, encoded when it is needed: nobody may change the two arrays from now on."""
+        stamp = self.stamp(simulated_time)
+        size = self._garment.size(len(triangles))
+        return DeferredMessage(size, lambda: self._garment.encode(stamp, positions, triangles))
 
     def body(
         self, vertices: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32], simulated_time: float = 0.0

@@ -83,8 +83,9 @@ class RunSender:
             self._sent_body = body
             marker = self._messages.body(body.vertices, body.triangles, simulation.time)
             self._outlet.send(BODY_MARKER, marker, stamp)
-        data = self._messages.garment(simulation.time, simulation.positions, simulation.triangles)
-        self._outlet.send(GARMENT, data, stamp)
+        # Positions are a copy of the simulation's own, and triangles stay the same.
+        garment = self._messages.deferred_garment(simulation.time, simulation.positions, simulation.triangles)
+        self._outlet.send(GARMENT, garment, stamp)
 
     def moved_body(self, run: Run, message: bytes) -> None:
         """Logs a `shape_msgs/Mesh` to which the body is to move from now on."""

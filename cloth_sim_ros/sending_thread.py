@@ -4,6 +4,8 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
+from cloth_sim_ros.deferred_message import Message
+
 __all__ = ["SendingThread"]
 
 CAPACITY = 64_000_000
@@ -21,7 +23,7 @@ class SendingThread:
     def __init__(self, on_error: Callable[[str, Exception], None], capacity: int = CAPACITY) -> None:
         self._on_error = on_error
         self._capacity = capacity
-        self._waiting: deque[tuple[str, Callable[[bytes], None], bytes]] = deque()
+        self._waiting: deque[tuple[str, Callable[[Message], None], Message]] = deque()
         self._bytes = 0
         self._sending = False
         self._closing = False
@@ -29,16 +31,16 @@ class SendingThread:
         self._thread = threading.Thread(target=self._loop, name="cloth_sim sending", daemon=True)
         self._thread.start()
 
-    def send(self, what: str, publish: Callable[[bytes], None], data: bytes) -> None:
-        """Has `publish(data)` called after all that was given before; waits while too much is waiting.
+    def send(self, what: str, publish: Callable[[Message], None], message: Message) -> None:
+        """Has `publish(message)` called after all that was given before; waits while too much is waiting.
 
         Args:
             what: for the line about an error
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._closing or not self._bytes or self._has_room(data))
-            self._waiting.append((what, publish, data))
-            self._bytes += len(data)
+            self._changed.wait_for(lambda: self._closing or not self._bytes or self._has_room(message))
+            self._waiting.append((what, publish, message))
+            self._bytes += len(message)
             self._changed.notify_all()
 
     def is_behind(self) -> bool:
@@ -52,8 +54,8 @@ class SendingThread:
             self._changed.notify_all()
         self._thread.join(timeout)
 
-    def _has_room(self, data: bytes) -> bool:
-        return self._bytes + len(data) <= self._capacity
+    def _has_room(self, message: Message) -> bool:
+        return self._bytes + len(message) <= self._capacity
 
     def _loop(self) -> None:
         while True:
@@ -62,12 +64,12 @@ class SendingThread:
                 self._changed.wait_for(lambda: self._waiting or self._closing)
                 if not self._waiting:
                     return
-                what, publish, data = self._waiting.popleft()
+                what, publish, message = self._waiting.popleft()
                 self._sending = True
             try:
-                publish(data)
+                publish(message)
             except Exception as error:  # as other threads, it outlives what it cannot send
                 self._on_error(what, error)
             with self._changed:
-                self._bytes -= len(data)
+                self._bytes -= len(message)
                 self._changed.notify_all()

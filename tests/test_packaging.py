@@ -33,7 +33,15 @@ PACKAGE_DATA = (
 )
 ROS_PACKAGES = re.compile(r"(rclpy|rcl_\w+|ament_\w+|rosidl_\w+|builtin_interfaces|launch(_ros)?|\w+_(msgs|srvs))$")
 # These talk to a ROS graph; everything else works without ROS.
-TALKS_TO_ROS = {"delivery.py", "demo.py", "node.py", "play.py", "rclpy_topics.py", "cloth_sim.launch.py"}
+TALKS_TO_ROS = {
+    "delivery.py",
+    "demo.py",
+    "node.py",
+    "play.py",
+    "rclpy_topics.py",
+    "unlocked_publisher.py",
+    "cloth_sim.launch.py",
+}
 
 
 def run(*command: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -20,6 +20,7 @@ from cloth_sim_ros.log_reader import LogReader
 from cloth_sim_ros.messages import decode_marker, encode_string
 from cloth_sim_ros.rclpy_topics import qos_profile
 from cloth_sim_ros.topics import GARMENT, REPORT
+from cloth_sim_ros.unlocked_publisher import unlocked
 
 SUBSCRIBER = """
 import sys, rclpy
@@ -93,9 +94,9 @@ def test_messages_in_quick_succession_all_arrive(publisher, tmp_path):
     path = tmp_path / "received.txt"
     with open(path, "w") as output:
         (process,) = subscribers(publisher, 1, output)
-        paced = PacedPublisher(publisher, publisher.departure)
+        paced = PacedPublisher(unlocked(publisher), publisher.departure)
         for number in range(COUNT):
-            paced.publish(String(data=f"{number:08d}" + 300_000 * "x"))
+            paced.publish(encode_string(f"{number:08d}" + 300_000 * "x"))
         deadline = time.monotonic() + PATIENCE
         while len(path.read_text().split()) < COUNT and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -108,10 +109,10 @@ def test_a_subscriber_that_is_stopped_does_not_stop_the_publisher(publisher, tmp
     with open(tmp_path / "received.txt", "w") as output:
         (process,) = subscribers(publisher, 1, output)
         process.send_signal(signal.SIGSTOP)
-        paced = PacedPublisher(publisher, publisher.departure)
+        paced = PacedPublisher(unlocked(publisher), publisher.departure)
         try:
             for number in range(50):
-                paced.publish(String(data=str(number)))
+                paced.publish(encode_string(str(number)))
             assert not publisher.wait_for_all_acked(Duration())  # it has indeed not received them
             process.send_signal(signal.SIGCONT)
             deadline = time.monotonic() + PATIENCE

@@ -43,8 +43,8 @@ class Listener:
     def wants_frames(self):
         return self.subscribed
 
-    def send(self, topic, data):
-        self._keep(self.messages, (topic, data))
+    def send(self, topic, message):
+        self._keep(self.messages, (topic, message))
 
     def inform(self, line):
         self._keep(self.lines, line)
@@ -62,7 +62,7 @@ class Listener:
             assert self.changed.wait_for(condition, PATIENCE), (self.lines, self.warnings)
 
     def of(self, topic):
-        return [data for found, data in list(self.messages) if found is topic]
+        return [bytes(message) for found, message in list(self.messages) if found is topic]
 
 
 class Bench:
