@@ -150,7 +150,8 @@ class BodyContact:
             separating: without any plane.
 
         Returns:
-            the vertex pairs; planes that make other pairs superfluous; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
+            the vertex pairs; planes that make other pairs superfluous; those that are needed as rows (s, 7), their
+            offsets (s,) and distances (s,) [m].
         """
         most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * (len(triangles) + len(self.body.triangles))
         found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
@@ -178,8 +179,8 @@ class BodyContact:
             separating.separated,
         )  # fmt: skip
         distance = point_triangle_distances(x, body_x, body.triangles, vertices)
-        near = distance < reach[vertices[:, 0]]
-        planes = VertexPlanes.of(len(x), vertices[near], distance[near])
+        within = distance < reach[vertices[:, 0]]
+        planes = VertexPlanes.of(len(x), vertices[within], distance[within])
         return planes, separating, *self._near_pairs(x, triangles, cloth, corners, sides)
 
     def further_pairs(

@@ -15,7 +15,7 @@ from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
 from cloth_core.pair_contacts import PairContacts
 from cloth_core.self_contact import SelfContact
-from cloth_core.separating_planes import SeparatingPlanes, given_up, triangles_of_particles
+from cloth_core.separating_planes import SeparatingPlanes, given_up
 from cloth_core.travel_renewal import enough_of_radius, pairs_of_particles
 
 __all__ = ["BroadPhase"]
@@ -63,9 +63,7 @@ class BroadPhase:
         self._tree: AabbTree | None = None
         self._body_x: Floats | None = None
         self._wider = 1.0
-        count = int(self.triangles.max()) + 1 if len(self.triangles) else 0
-        self._triangles_of = triangles_of_particles(self.triangles, count)
-        self.separating = SeparatingPlanes.none(self.triangles, *self._triangles_of)
+        self.separating = SeparatingPlanes.none(self.triangles)
         self.forget()
         self.pairs = PairContacts.none()
 
@@ -104,9 +102,8 @@ class BroadPhase:
                 self._tree = build_tree(x, self.triangles)
             refit_tree(self._tree, x, self.triangles, self.body.offset + self.radii)
             self.planes, self.separating, of_body, offset, distance = self.body.candidates(
-                x, self.triangles, self._representatives, self._tree, self.radii,
-                SeparatingPlanes.none(self.triangles, *self._triangles_of),
-            )  # fmt: skip
+                x, self.triangles, self._representatives, self._tree, self.radii, self.separating.cleared()
+            )
             parts.append((of_body, offset, distance))
             self._body_x = self.body.body.vertices
         if self.cloth is not None:

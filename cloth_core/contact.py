@@ -46,7 +46,7 @@ from cloth_core.pair_contacts import (
     repeat_impulses,
 )
 from cloth_core.self_contact import SelfContact
-from cloth_core.separating_planes import SeparatingPlanes, height_above_planes, triangles_of_particles
+from cloth_core.separating_planes import SeparatingPlanes, height_above_planes
 from cloth_core.travel_renewal import (
     BODY_TRAVEL,
     CLOTH_TRAVEL,
@@ -97,8 +97,8 @@ class ContactState(NamedTuple):
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
         return cls(
-            np.zeros((3, 0)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(), SeparatingPlanes.none(_NO_TRIANGLES, *triangles_of_particles(_NO_TRIANGLES, 0)), NearPlanes.none(),
-            Renewal.none(),
+            np.zeros((3, 0)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(),
+            SeparatingPlanes.none(_NO_TRIANGLES), NearPlanes.none(), Renewal.none(),
         )  # fmt: skip
 
 
@@ -185,7 +185,8 @@ class Contact:
             planes.plane_count[:] = -1
             self._searched_body_x = body_x
         renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
-        return ContactState(np.ascontiguousarray(x.T), travel, planes, pairs, broad.separating, NearPlanes.of(near), renewal)
+        origin = np.ascontiguousarray(x.T)
+        return ContactState(origin, travel, planes, pairs, broad.separating, NearPlanes.of(near), renewal)
 
     def forget(self) -> None:
         """Let the next search be one with a broad phase."""

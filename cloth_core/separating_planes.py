@@ -59,12 +59,21 @@ class SeparatingPlanes(NamedTuple):
     lost: Ints
 
     @classmethod
-    def none(cls, corners: Ints, start: Ints, entries: Ints) -> SeparatingPlanes:
-        """No plane for any of the triangles."""
+    def none(cls, corners: Ints) -> SeparatingPlanes:
+        """No plane for any of the triangles, of corners (m, 3)."""
         count = len(corners)
         return cls(
-            np.zeros(count, dtype=np.bool_), np.zeros((count, 3)), np.zeros(count), 0.0, 0.0, corners, start, entries,
+            np.zeros(count, dtype=np.bool_), np.zeros((count, 3)), np.zeros(count), 0.0, 0.0, corners,
+            *triangles_of_particles(corners, int(corners.max()) + 1 if count else 0),
             np.zeros(count + 1, dtype=np.int32), np.zeros(0, dtype=np.int32), np.zeros(count, dtype=np.int32),
+        )  # fmt: skip
+
+    def cleared(self) -> SeparatingPlanes:
+        """No plane for any of the same triangles, in arrays of its own."""
+        count = len(self.corners)
+        return self._replace(
+            separated=np.zeros(count, dtype=np.bool_), normal=np.zeros((count, 3)), level=np.zeros(count),
+            near_start=np.zeros(count + 1, dtype=np.int32), near=np.zeros(0, dtype=np.int32),
         )  # fmt: skip
 
 
@@ -126,15 +135,11 @@ def separate(
 @kernel
 def find_plane(t: int, x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints) -> bool:
     """Set the plane of triangle t, if there is one that has all its corners high enough above it."""
-    return _separate(
-        t, x, planes, body_x, body_triangles, planes.near[planes.near_start[t] : planes.near_start[t + 1]]
-    )
+    return _separate(t, x, planes, body_x, body_triangles, planes.near[planes.near_start[t] : planes.near_start[t + 1]])
 
 
 @kernel
-def _separate(
-    t: int, x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints, faces: Ints
-) -> bool:
+def _separate(t: int, x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints, faces: Ints) -> bool:
     p, q, r = planes.corners[t, 0], planes.corners[t, 1], planes.corners[t, 2]
     # Their directions are those in which the body looks here, and the cloth.
     bx, by, bz = 0.0, 0.0, 0.0
@@ -181,7 +186,7 @@ def _normal(x: Floats, p: int, q: int, r: int) -> tuple[float, float, float]:
 
 @kernel
 def _along(x: Floats, i: int, nx: float, ny: float, nz: float) -> float:
-    return x[i, 0] * nx + x[i, 1] * ny + x[i, 2] * nz
+    return float(x[i, 0] * nx + x[i, 1] * ny + x[i, 2] * nz)
 
 
 @kernel
@@ -192,13 +197,13 @@ def height_above_planes(x: Floats, i: int, planes: SeparatingPlanes) -> float:
         t = planes.entries[entry]
         if planes.separated[t]:
             height = min(height, height_above_plane(x, i, planes, t))
-    return height
+    return float(height)
 
 
 @kernel
 def height_above_plane(x: Floats, i: int, planes: SeparatingPlanes, t: int) -> float:
     """How high particle i of x (n, 3) is above the plane of triangle t [m]."""
-    return _along(x, i, planes.normal[t, 0], planes.normal[t, 1], planes.normal[t, 2]) - planes.level[t]
+    return float(_along(x, i, planes.normal[t, 0], planes.normal[t, 1], planes.normal[t, 2]) - planes.level[t])
 
 
 @kernel

@@ -15,6 +15,7 @@ from cloth_core.body_contact import BodyContact
 from cloth_core.contact import Contact
 from cloth_core.garment import Garment
 from cloth_core.mesh_topology import unique_edges
+from cloth_core.near_planes import NEAR
 from cloth_core.quality import Settings
 from cloth_core.scene import Scene
 from cloth_core.separating_planes import SeparatingPlanes, given_up, triangles_of_particles
@@ -97,20 +98,20 @@ def test_what_has_no_plane_has_all_the_pairs_that_there_are(seed):
 
 def test_a_triangle_that_comes_low_gets_another_plane_or_its_pairs():
     garment, body, x = over_a_ball(0)
-    contact = Contact(garment.triangles, BodyContact(body, OFFSET), radius=0.006)
-    found = contact.search(x, 0.004)
+    contact = Contact(garment.triangles, BodyContact(body, OFFSET), radius=0.015)
+    found = contact.search(x, 0.015)
     planes, before = found.separating, found.separating.separated.copy()
     searches = contact.broad.searches
-    # Round the ball: heights above the old planes fall, but those above others do not.
-    turned = x @ Rotation.from_euler("x", 2.0, degrees=True).as_matrix().T
+    # Round the ball and a little nearer: too low above the old planes, but not above others.
+    turned = 0.985 * x @ Rotation.from_euler("x", 5.0, degrees=True).as_matrix().T
     old = planes.normal.copy()
     found = contact.search(turned, 1e-4)
     assert contact.broad.searches == searches
     renewed = before & planes.separated & (planes.normal != old).any(axis=1)
-    assert renewed.any()
+    assert renewed.sum() > 20
     certainly_apart(planes, body, contact.broad.x, contact.broad.radii)
     # Towards the ball there is no plane any more: each triangle gets its pairs, as if it had never had one.
-    pressed = turned * 0.978
+    pressed = turned * 0.97 / 0.985
     lost = before & planes.separated
     found = contact.search(pressed, 1e-4)
     lost &= ~planes.separated
@@ -130,7 +131,7 @@ def test_a_triangle_that_comes_low_gets_another_plane_or_its_pairs():
         ]
     )
     free = found.travel[unique_edges(garment.triangles[lost])[0]].max(axis=1)
-    assert (free < nearest).all()
+    assert (free < nearest)[nearest > NEAR].all()
 
 
 def test_no_plane_fits_where_the_body_reaches_round_the_cloth():
@@ -163,7 +164,7 @@ def test_planes_come_and_go_with_the_motion_of_a_body():
     simulation = Simulation(scene)
     simulation.advance(0.1)
     assert simulation._contacts.separating.separated.any()
-    simulation.move_body(body_of(ball).vertices + [0.0, 0.0, 0.02], 0.05)
+    simulation.move_body(body_of(ball).vertices + np.array([0.0, 0.0, 0.02]), 0.05)
     while simulation.body_moves:
         simulation.advance(0.01)
         if simulation.body_moves:
@@ -181,7 +182,9 @@ def test_planes_come_and_go_with_the_motion_of_a_body():
 def test_nothing_passes_through_a_ball_of_any_coarseness(coarseness, speed):
     # From an icosahedron, on whose edges sides of the cloth have to be held, to a ball on which they need not.
     body = body_of(trimesh.creation.icosphere(coarseness, radius=0.1))
-    garment = placed(sheet(0.3, 0.3, 0.03), Rotation.from_euler("xy", [7.0, 11.0], degrees=True).as_matrix(), [0, 0, 0.15])
+    garment = placed(
+        sheet(0.3, 0.3, 0.03), Rotation.from_euler("xy", [7.0, 11.0], degrees=True).as_matrix(), [0, 0, 0.15]
+    )
     scene = Scene(
         garment=garment, body=body, fabric=plain_fabric(), settings=Settings(contact_offset=OFFSET),
         without=("self contact",),
@@ -189,11 +192,13 @@ def test_nothing_passes_through_a_ball_of_any_coarseness(coarseness, speed):
     simulation = Simulation(scene)
     simulation._v[:, 2] = -speed
     simulation._search_contacts()
+    separated = False
     for _ in range(30):
         simulation.advance(0.01)
         x, triangles = simulation.sewn_mesh()
         assert crossings(x, triangles, body) == 0
-    assert simulation._contacts.separating.separated.any() or coarseness == 0
+        separated |= bool(simulation._contacts.separating.separated.any())
+    assert separated or coarseness == 0
 
 
 def test_triangles_of_a_particle_are_those_that_name_it():
