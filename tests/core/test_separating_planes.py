@@ -28,15 +28,12 @@ OFFSET = 0.003
 
 def distance_to_body(corners: Floats, body: Body) -> Floats:
     """Of a triangle, (3, 3) [m], from each of the body's, (t,)."""
-    far = np.full(len(body.triangles), np.inf)
-    for row, face in enumerate(body.triangles):
-        p = body.vertices[face]
-        for k in range(3):
-            far[row] = min(far[row], point_triangle_distance(corners[k], *p), point_triangle_distance(p[k], *corners))
-            for m in range(3):
-                sides = corners[k], corners[k - 1], p[m], p[m - 1]
-                far[row] = min(far[row], edge_edge_distance(*sides))
-    return np.sqrt(far)
+    p = body.vertices[body.triangles].transpose(1, 0, 2)
+    far = []
+    for k in range(3):
+        far += [point_triangle_distance(corners[k], *p), point_triangle_distance(p[k], *corners)]
+        far += [edge_edge_distance(corners[k], corners[k - 1], p[m], p[m - 1]) for m in range(3)]
+    return np.sqrt(np.min(far, axis=0))
 
 
 def certainly_apart(planes: SeparatingPlanes, body: Body, place: Floats, radii: Floats) -> None:
@@ -87,10 +84,11 @@ def test_what_has_no_plane_has_all_the_pairs_that_there_are(seed):
     reach = body_search.side_offset + 0.002  # every particle may go at least so far
     sides = [tuple(side) for side in unique_edges(garment.triangles)[0].tolist()]
     expected = 0
+    body_sides = unique_edges(body.triangles)[0]
     for i, j in sides:
-        for a, b in unique_edges(body.triangles)[0].tolist():
-            near = edge_edge_distance(x[i], x[j], body.vertices[a], body.vertices[b]) < reach**2
-            if near and (i, j) not in of_apart:
+        if (i, j) not in of_apart:
+            far = edge_edge_distance(x[i], x[j], *body.vertices[body_sides].transpose(1, 0, 2))
+            for a, b in body_sides[far < reach**2].tolist():
                 assert (i, j, -1, -1, a, b) in listed
                 expected += 1
     assert expected > 0 or len(of_apart) == len(sides)
@@ -121,15 +119,9 @@ def test_a_triangle_that_comes_low_gets_another_plane_or_its_pairs():
     for t in np.flatnonzero(lost):
         sides = [tuple(sorted(side)) for side in np.stack([garment.triangles[t], np.roll(garment.triangles[t], 1)], 1)]
         assert named & set(sides)
-    nearest = np.sqrt(
-        [
-            min(
-                edge_edge_distance(pressed[i], pressed[j], *body.vertices[side])
-                for side in unique_edges(body.triangles)[0]
-            )
-            for i, j in unique_edges(garment.triangles[lost])[0].tolist()
-        ]
-    )
+    body_sides = body.vertices[unique_edges(body.triangles)[0]].transpose(1, 0, 2)
+    sides_of_lost = unique_edges(garment.triangles[lost])[0].tolist()
+    nearest = np.sqrt([edge_edge_distance(pressed[i], pressed[j], *body_sides).min() for i, j in sides_of_lost])
     free = found.travel[unique_edges(garment.triangles[lost])[0]].max(axis=1)
     assert (free < nearest)[nearest > NEAR].all()
 
