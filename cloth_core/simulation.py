@@ -586,7 +586,8 @@ class Simulation:
         )  # fmt: skip
         self._contacts = self._contacts._replace(renewal=renewal)
         if self._body_motion is not None:
-            self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
+            assert self.model.contact.body is not None
+            self._contacts = self._body_motion.found(self._x, self._contacts, self.model.contact.body.side_offset)
         self._flight_step = self._longest_flight(speed)
 
     @property
