@@ -33,9 +33,9 @@ Outside of the steps it was the estimate of the stable time step, 60 times a sim
 themselves at 128 x 128, most of it in BLAS, whose threads wait for each other on a busy machine. The first 0.2 s of
 scene A at 128 x 128 and 200 N/m, under a profiler: 16 s of processor time per s with it, 3.2 without.
 
-The search for contacts took more than everything else as long as all particles had one search radius; since each has its own, in proportion to its speed, they are used up at the same
-time (processor seconds, before and after, same load: trousers at 2 cm 10.2 and 5.9; sheet on the sphere, 64 x 64, 9.0
-and 4.5; with self contact 43 and 21).
+The search for contacts took more than everything else as long as all particles had one search radius; since each has
+its own, in proportion to its speed, they are used up at the same time (processor seconds, before and after, same load:
+trousers at 2 cm 10.2 and 5.9; sheet on the sphere, 64 x 64, 9.0 and 4.5; with self contact 43 and 21).
 
 What lies on a smooth body touches it with its vertices alone. A plane between a triangle of the cloth and all of the
 body near it proves that for its sides and for the body's corners (`cloth_core/separating_planes.py`), of which there

@@ -9,6 +9,7 @@ from copy import deepcopy
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.axis_layout import by_axis
 from cloth_core.bending import bending_forces
 from cloth_core.contact import ContactSettings, ContactState, resolve_contacts
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
@@ -56,8 +57,12 @@ def term_costs(
     if terms.seam.pairs.shape[0] > 0:
         measured["seams"] = lambda: seam_forces(work.x, work.v, terms.seam, 0.0, work.force)
     if contact.active:
-        moved, xc, vc = np.zeros(len(x)), x.copy(), v.copy()
-        measured["body contact"] = lambda: resolve_contacts(xc, vc, terms.inverse_mass, contacts, contact, dt, moved)
+        moved, touching = np.zeros(len(x)), Workspace.of(len(x))
+        by_axis(x, touching.x)
+        by_axis(v, touching.v)
+        measured["body contact"] = lambda: resolve_contacts(
+            touching.x, touching.v, terms.inverse_mass, contacts, contact, dt, moved
+        )
     xw, vw, room, way = x.copy(), v.copy(), Workspace.of(len(x)), np.zeros(len(x))
     measured["step"] = lambda: run_steps(xw, vw, room, way, whole, contact, held, dt, 1, 0.0, 0.0)
     return {name: _median_microseconds(run) for name, run in measured.items()}
