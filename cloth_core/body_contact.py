@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 # Sides and body corners are held off at this share of the vertices' offset: they only act where vertices cannot.
-_SIDE_OFFSET_SHARE = 0.3
+_SIDE_OFFSET_SHARE = 0.5
 # How much higher than where sides count the corners of a triangle must be above a plane for it to be worth one, as a
 # share of the vertices' offset.
 _CLEAR_SHARE = 0.1
