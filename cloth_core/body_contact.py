@@ -140,6 +140,7 @@ class BodyContact:
         tree: AabbTree,
         radius: float | Floats,
         separating: SeparatingPlanes,
+        wanted: Floats,
     ) -> tuple[VertexPlanes, SeparatingPlanes, Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
 
@@ -148,6 +149,7 @@ class BodyContact:
             tree: of the cloth's triangles, its boxes enlarged by at least offset + radius.
             radius: [m], for all or for each particle, (n,).
             separating: without any plane.
+            wanted: how far particles want to go [m], (n,).
 
         Returns:
             the vertex pairs; planes that make other pairs superfluous; those that are needed as rows (s, 7), their
@@ -168,7 +170,7 @@ class BodyContact:
         if not self.moves:
             lowest = COUNTS_FROM * self.side_offset
             separating = separating._replace(lowest=lowest, high=lowest + _CLEAR_SHARE * self.offset)
-            start, near = separate(x, separating, body_x, body.triangles, self._leaf_pairs[:found])
+            start, near = separate(x, wanted, separating, body_x, body.triangles, self._leaf_pairs[:found])
             separating = separating._replace(near_start=start, near=near)
         margin = np.ascontiguousarray(np.broadcast_to(self.side_offset + radius, len(x)))
         cloth_boxes = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)

@@ -83,7 +83,7 @@ class BroadPhase:
             way_of_body = self._way_of_body()
             short, moved, left = _left_of_radius(x, self.x, self.radii, way_of_body, wanted, self.radius)
             if not short:
-                return self._add_pairs_without_plane(x), moved, left, way_of_body
+                return self._add_pairs_without_plane(x, wanted), moved, left, way_of_body
         self._search(x, wanted)
         return True, np.zeros(len(x)), self.radii, 0.0
 
@@ -102,7 +102,7 @@ class BroadPhase:
                 self._tree = build_tree(x, self.triangles)
             refit_tree(self._tree, x, self.triangles, self.body.offset + self.radii)
             self.planes, self.separating, of_body, offset, distance = self.body.candidates(
-                x, self.triangles, self._representatives, self._tree, self.radii, self.separating.cleared()
+                x, self.triangles, self._representatives, self._tree, self.radii, self.separating.cleared(), wanted
             )
             parts.append((of_body, offset, distance))
             self._body_x = self.body.body.vertices
@@ -123,11 +123,11 @@ class BroadPhase:
         elif found > _MANY_PAIRS * len(x):
             self._wider = max(self._wider / _WIDEN, 1.0)
 
-    def _add_pairs_without_plane(self, x: Floats) -> bool:
+    def _add_pairs_without_plane(self, x: Floats, wanted: Floats) -> bool:
         """Renew the separating planes at x; add pairs for what has none any more, and whether there was any."""
         if self.body is None or self.body.moves:
             return False
-        lost = given_up(x, self.separating, self.body.body.vertices, self.body.body.triangles)
+        lost = given_up(x, wanted, self.separating, self.body.body.vertices, self.body.body.triangles)
         if len(lost) == 0:
             return False
         # As they would have been found where the last search was, on whose places and radii all pairs depend.

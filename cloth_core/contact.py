@@ -225,7 +225,8 @@ def _narrow_phase(
             arm(planes, i)
         if travel[i] < NEAR:
             travel[i], near, near_count = _near_body(i, x, planes, body_x, body_triangles, reach[i], near, near_count)
-        travel[i] = min(BODY_TRAVEL * min(travel[i], height_above_planes(x, i, separating)), reach[i])
+        above = height_above_planes(x, i, separating) - separating.lowest
+        travel[i] = min(min(BODY_TRAVEL * travel[i], above), reach[i])
     closest = np.zeros(3)
     count = 0
     for s in range(pairs.kind.shape[0]):

@@ -1,10 +1,11 @@
 """Cloth triangles that a plane separates from all of the body near them.
 
 What is held off a smooth body by its vertices cannot touch it with its sides, and no corner of the body reaches its
-faces: a triangle is the convex hull of its corners, so it stays clear of the body as long as these stay above a plane
-that has all of the body near it below. Such a triangle is left out of the search for sides and corners. Each of its
-corners may travel less than its height above the plane. When one is too low a better plane is looked for, and where
-there is none any more, sides and corners are looked at again.
+faces: a triangle is the convex hull of its corners, so it stays as far from the body as these stay above a plane that
+has all of the body near it below. Such a triangle is left out of the search for sides and corners. None of its corners
+may travel so far that sides would count there, so that nothing is missed: cloth moves as if all pairs were known. Where
+that leaves a corner too little way another plane is looked for, and where there is none, sides and corners are looked
+at again.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ __all__ = [
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
+# A plane must leave each corner this share of the way that it wants to go: enough for a few steps, so that planes make
+# no step shorter and stop nobody.
+_LEAST_SHARE = 0.1
+
 
 class SeparatingPlanes(NamedTuple):
     """Planes between triangles of the cloth and the body.
@@ -38,8 +43,8 @@ class SeparatingPlanes(NamedTuple):
         separated: whether there is one, (m,).
         normal: unit vector away from the body, (m, 3); level: the body near the triangle is where normal . b is at most
             this [m], (m,).
-        lowest: a corner that is not as high as this above its planes may soon touch with its sides [m].
-        high: how high all corners must be for a new plane [m].
+        lowest: height above a plane from which on sides count [m]; no corner comes as low as that.
+        high: height that all corners must have at least [m].
         corners: of the triangles, (m, 3).
         start, entries: the triangles of particle i are entries[start[i] : start[i + 1]].
         near_start, near: the body's triangles near triangle t are near[near_start[t] : near_start[t + 1]].
@@ -101,12 +106,12 @@ def triangles_of_particles(corners: Ints, count: int) -> tuple[Ints, Ints]:
 
 @kernel
 def separate(
-    x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints, pairs: Ints
+    x: Floats, wanted: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints, pairs: Ints
 ) -> tuple[Ints, Ints]:
     """Put a plane between each triangle and the body near it, where all its corners are high enough above one.
 
     Args:
-        x: positions of the cloth [m], (n, 3).
+        x: positions of the cloth [m], (n, 3); wanted: how far each particle wants to go [m], (n,).
         planes: of which separated, normal and level are set.
         body_x, body_triangles: the body, (b, 3) [m] and (t, 3).
         pairs: of triangles, (p, 2): the cloth's, and one of the body's that is near it.
@@ -128,18 +133,36 @@ def separate(
     for t in range(count):
         faces = near[start[t] : start[t + 1]]
         if len(faces) > 0:
-            planes.separated[t] = _separate(t, x, planes, body_x, body_triangles, faces)
+            planes.separated[t] = _separate(t, x, wanted, _LEAST_SHARE, planes, body_x, body_triangles, faces)
     return start[: count + 1], near
 
 
 @kernel
-def find_plane(t: int, x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints) -> bool:
-    """Set the plane of triangle t, if there is one that has all its corners high enough above it."""
-    return _separate(t, x, planes, body_x, body_triangles, planes.near[planes.near_start[t] : planes.near_start[t + 1]])
+def find_plane(
+    t: int,
+    x: Floats,
+    wanted: Floats,
+    share: float,
+    planes: SeparatingPlanes,
+    body_x: Floats,
+    body_triangles: Ints,
+) -> bool:
+    """Set the plane of triangle t, if one leaves its corners a share of what they want to go [m], (n,)."""
+    faces = planes.near[planes.near_start[t] : planes.near_start[t + 1]]
+    return _separate(t, x, wanted, share, planes, body_x, body_triangles, faces)
 
 
 @kernel
-def _separate(t: int, x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints, faces: Ints) -> bool:
+def _separate(
+    t: int,
+    x: Floats,
+    wanted: Floats,
+    share: float,
+    planes: SeparatingPlanes,
+    body_x: Floats,
+    body_triangles: Ints,
+    faces: Ints,
+) -> bool:
     p, q, r = planes.corners[t, 0], planes.corners[t, 1], planes.corners[t, 2]
     # Their directions are those in which the body looks here, and the cloth.
     bx, by, bz = 0.0, 0.0, 0.0
@@ -158,7 +181,12 @@ def _separate(t: int, x: Floats, planes: SeparatingPlanes, body_x: Floats, body_
         if length == 0.0:
             continue
         nx, ny, nz = nx / length, ny / length, nz / length
-        lowest = min(_along(x, p, nx, ny, nz), min(_along(x, q, nx, ny, nz), _along(x, r, nx, ny, nz)))
+        lowest = np.inf
+        for k in range(3):
+            i = planes.corners[t, k]
+            # How much higher than others a corner has to be that wants to go far.
+            more = max(share * wanted[i] - (planes.high - planes.lowest), 0.0)
+            lowest = min(lowest, _along(x, i, nx, ny, nz) - more)
         level = -np.inf
         for entry in range(faces.shape[0]):
             face = faces[entry]
@@ -207,23 +235,25 @@ def height_above_plane(x: Floats, i: int, planes: SeparatingPlanes, t: int) -> f
 
 
 @kernel
-def given_up(x: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints) -> Ints:
-    """Put another plane where a corner has come low; the triangles that have none any more, (k,).
+def given_up(x: Floats, wanted: Floats, planes: SeparatingPlanes, body_x: Floats, body_triangles: Ints) -> Ints:
+    """Put another plane where one leaves a corner too little way; the triangles that have none any more, (k,).
 
-    Shapes: x (n, 3), body_x (b, 3) [m]; body_triangles (t, 3). The body must be where it was.
+    Shapes: x (n, 3), body_x (b, 3) [m]; wanted (n,), how far each particle wants to go [m]; body_triangles (t, 3). The
+    body must be where it was.
     """
     count = 0
     for t in range(planes.corners.shape[0]):
         if not planes.separated[t]:
             continue
-        height = np.inf
+        enough = True
         for k in range(3):
-            height = min(height, height_above_plane(x, planes.corners[t, k], planes, t))
-        if height < planes.high:
-            if not find_plane(t, x, planes, body_x, body_triangles) and height < planes.lowest:
-                planes.separated[t] = False
-                count += 1
-                planes.lost[count - 1] = t
+            i = planes.corners[t, k]
+            least = max(planes.high, planes.lowest + _LEAST_SHARE * wanted[i])
+            enough = enough and height_above_plane(x, i, planes, t) >= least
+        if not enough and not find_plane(t, x, wanted, _LEAST_SHARE, planes, body_x, body_triangles):
+            planes.separated[t] = False
+            planes.lost[count] = t
+            count += 1
     return planes.lost[:count].copy()
 
 

@@ -219,10 +219,10 @@ def _renew(
     for axis in range(3):
         state.origin[axis, p] = x[p, axis]
     origin = particle_rows(state.origin, x.shape[0])
-    height = _height(p, origin, v, state, body_x, body_triangles, moved, dt)
-    if height < 0.0:
+    above = _way_above_planes(p, origin, v, state, body_x, body_triangles, moved, dt)
+    if above < 0.0:
         return -1
-    travel = min(BODY_TRAVEL * min(travel, height), granted)
+    travel = min(min(BODY_TRAVEL * travel, above), granted)
     renewal.way[p] = way
     state.travel[p] = granted
     moved[p] = 0.0
@@ -289,7 +289,7 @@ def _renew(
 
 
 @inlined_kernel
-def _height(
+def _way_above_planes(
     p: int,
     origin: Floats,
     v: Floats,
@@ -299,29 +299,29 @@ def _height(
     moved: Floats,
     dt: float,
 ) -> float:
-    """Height of particle p above the planes of its triangles [m], of which low ones are renewed; -1 if that fails."""
+    """How far particle p may go by the planes of its triangles [m], of which low ones are renewed; -1 if that fails."""
     planes = state.separating
-    lowest = np.inf
+    shortest = np.inf
     for entry in range(planes.start[p], planes.start[p + 1]):
         t = planes.entries[entry]
         if not planes.separated[t]:
             continue
         height = height_above_plane(origin, p, planes, t)
-        if height < planes.lowest:
-            if not find_plane(t, origin, planes, body_x, body_triangles):
+        if height < planes.high or not _may_fly(height - planes.lowest, p, v, state.renewal, dt):
+            if not find_plane(t, origin, state.travel, 0.0, planes, body_x, body_triangles):
                 return -1.0
             # The other corners may be anywhere within their travel.
             for k in range(3):
                 q = planes.corners[t, k]
-                bound = BODY_TRAVEL * height_above_plane(origin, q, planes, t)
+                bound = height_above_plane(origin, q, planes, t) - planes.lowest
                 if q == p or state.travel[q] <= bound:
                     continue
                 if moved[q] > (SPENT * bound) ** 2 or not _may_fly(bound, q, v, state.renewal, dt):
                     return -1.0
                 state.travel[q] = bound
             height = height_above_plane(origin, p, planes, t)
-        lowest = min(lowest, height)
-    return lowest
+        shortest = min(shortest, height - planes.lowest)
+    return shortest
 
 
 @inlined_kernel
