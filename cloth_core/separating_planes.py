@@ -34,6 +34,9 @@ Ints = NDArray[np.int32]
 # A plane must leave each corner this share of the way that it wants to go: enough for a few steps, so that planes make
 # no step shorter and stop nobody.
 _LEAST_SHARE = 0.1
+# The same, and how much higher than that its corners must be, as a share, where a plane is put at first: one that is
+# given up soon costs more than it saves.
+_SHARE, _HIGHER = 0.3, 3.0
 
 
 class SeparatingPlanes(NamedTuple):
@@ -130,10 +133,11 @@ def separate(
         t = pairs[pair, 0]
         near[start[t + 1]] = pairs[pair, 1]
         start[t + 1] += 1
+    high = planes.lowest + _HIGHER * (planes.high - planes.lowest)
     for t in range(count):
         faces = near[start[t] : start[t + 1]]
         if len(faces) > 0:
-            planes.separated[t] = _separate(t, x, wanted, _LEAST_SHARE, planes, body_x, body_triangles, faces)
+            planes.separated[t] = _separate(t, x, wanted, _SHARE, high, planes, body_x, body_triangles, faces)
     return start[: count + 1], near
 
 
@@ -149,7 +153,7 @@ def find_plane(
 ) -> bool:
     """Set the plane of triangle t, if one leaves its corners a share of what they want to go [m], (n,)."""
     faces = planes.near[planes.near_start[t] : planes.near_start[t + 1]]
-    return _separate(t, x, wanted, share, planes, body_x, body_triangles, faces)
+    return _separate(t, x, wanted, share, planes.high, planes, body_x, body_triangles, faces)
 
 
 @kernel
@@ -158,6 +162,7 @@ def _separate(
     x: Floats,
     wanted: Floats,
     share: float,
+    high: float,
     planes: SeparatingPlanes,
     body_x: Floats,
     body_triangles: Ints,
@@ -173,7 +178,7 @@ def _separate(
     cx, cy, cz = _normal(x, p, q, r)
     if cx * bx + cy * by + cz * bz < 0.0:
         cx, cy, cz = -cx, -cy, -cz
-    best = planes.high
+    best = high
     found = False
     for direction in range(2):
         nx, ny, nz = (bx, by, bz) if direction == 0 else (cx, cy, cz)
@@ -185,7 +190,7 @@ def _separate(
         for k in range(3):
             i = planes.corners[t, k]
             # How much higher than others a corner has to be that wants to go far.
-            more = max(share * wanted[i] - (planes.high - planes.lowest), 0.0)
+            more = max(share * wanted[i] - (high - planes.lowest), 0.0)
             lowest = min(lowest, _along(x, i, nx, ny, nz) - more)
         level = -np.inf
         for entry in range(faces.shape[0]):

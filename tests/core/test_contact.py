@@ -184,8 +184,10 @@ def test_travel_bound_is_less_than_the_distance_to_anything(seed):
     assert everywhere.min() < 0.1  # near enough to say something
     assert (travel > 0).all()
     assert (travel < free).all()
-    assert (travel <= 0.9 * height + 1e-12).all()
-    assert (travel >= np.minimum(0.85 * np.minimum(everywhere, height), 0.9 * reach) - 1e-12).all()  # and not much less
+    above = height - planes.lowest
+    assert (travel <= above + 1e-12).all()
+    bounds = np.minimum(np.minimum(0.85 * everywhere, above), 0.9 * reach)
+    assert (travel >= bounds - 1e-12).all()  # and not much less
 
 
 # ---- nothing is pulled back, nothing is given away

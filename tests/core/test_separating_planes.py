@@ -47,12 +47,12 @@ def certainly_apart(planes: SeparatingPlanes, body: Body, place: Floats, radii: 
         assert (far[above] > radii[corners].max()).all()
 
 
-def over_a_ball(seed: int) -> tuple[Garment, Body, Floats]:
+def over_a_ball(seed: int, radius: float = 0.104) -> tuple[Garment, Body, Floats]:
     rng = np.random.default_rng(seed)
     body = body_of(trimesh.creation.icosphere(2, radius=0.1), Rotation.random(random_state=seed).as_matrix())
     garment = sheet(0.12, 0.12, 0.02)
     x = garment.start - garment.start.mean(axis=0)
-    height = np.sqrt(0.104**2 - (x[:, :2] ** 2).sum(axis=1))
+    height = np.sqrt(radius**2 - (x[:, :2] ** 2).sum(axis=1))
     return garment, body, np.column_stack([x[:, :2], height]) + 2e-4 * rng.standard_normal(x.shape)
 
 
@@ -69,13 +69,14 @@ def test_all_that_is_near_lies_below_the_plane_and_the_corners_above(seed):
         corners = garment.triangles[t]
         height = x[corners] @ planes.normal[t] - planes.level[t]
         assert (height >= planes.high - 1e-12).all()
-        assert (found.travel[corners] < height).all()
+        # Sides of what has a plane never come to where they count.
+        assert (height - found.travel[corners] >= planes.lowest - 1e-12).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_has_no_plane_has_all_the_pairs_that_there_are(seed):
-    # Sides of cloth near sides of the body, and corners of the body near faces: all but those of separated triangles.
-    garment, body, x = over_a_ball(seed)
+    # Sides of cloth near sides of the body: all but those of separated triangles.
+    garment, body, x = over_a_ball(seed, radius=0.1025)
     body_search = BodyContact(body, OFFSET)
     found = Contact(garment.triangles, body_search, radius=0.006).search(x, 0.004)
     listed = {tuple(row) for row in np.column_stack([found.pairs.particles, found.pairs.body]).tolist()}
@@ -91,13 +92,13 @@ def test_what_has_no_plane_has_all_the_pairs_that_there_are(seed):
             for a, b in body_sides[far < reach**2].tolist():
                 assert (i, j, -1, -1, a, b) in listed
                 expected += 1
-    assert expected > 0 or len(of_apart) == len(sides)
+    assert expected > 0
 
 
 def test_a_triangle_that_comes_low_gets_another_plane_or_its_pairs():
     garment, body, x = over_a_ball(0)
     contact = Contact(garment.triangles, BodyContact(body, OFFSET), radius=0.015)
-    found = contact.search(x, 0.015)
+    found = contact.search(x, 0.002)
     planes, before = found.separating, found.separating.separated.copy()
     searches = contact.broad.searches
     # Round the ball and a little nearer: too low above the old planes, but not above others.
@@ -206,5 +207,5 @@ def test_nothing_is_given_up_while_all_is_high():
     planes = contact.search(x, 0.004).separating
     before = planes.separated.copy()
     away = x * 1.005
-    assert len(given_up(away, planes, body.vertices, body.triangles)) == 0
+    assert len(given_up(away, np.full(len(x), 0.001), planes, body.vertices, body.triangles)) == 0
     np.testing.assert_array_equal(planes.separated, before)
