@@ -131,29 +131,6 @@ def searched_each_step(simulation: Simulation, duration: float) -> None:
         simulation._run(1, last_time=end)
 
 
-def sides() -> str:
-    """A draped T-shirt with and without planes between its triangles and the body."""
-    pairs, seconds = [], []
-    for planes in (False, True):
-        simulation = Simulation(tshirt())
-        simulation.settle()
-        contact = simulation.model.contact
-        assert contact is not None
-        assert contact.body is not None
-        contact.body.moves = not planes  # so that nothing relies on one
-        contact.forget()
-        simulation._search_contacts()
-        of_body = simulation._contacts.pairs.body[:, 0] >= 0
-        pairs.append(int(of_body.sum()))
-        seconds.append(cpu(lambda: simulation.advance(0.2)) / 0.2)  # noqa: B023
-    separated = simulation._contacts.separating.separated
-    return (
-        f"T-shirt at {1000 * SPACING:g} mm at rest: {separated.sum()} of {len(separated)} triangles have a plane; "
-        f"{pairs[1]} pairs of sides and corners with the body and {seconds[1]:.2f} s of processor time for a simulated "
-        f"second, {pairs[0]} and {seconds[0]:.2f} s without planes"
-    )
-
-
 def air() -> str:
     """A step with and without air."""
     off, on = (step_cost(hung_sheet(("self contact",), air_drag)) for air_drag in (0.0, 1.0))
@@ -283,10 +260,6 @@ def main() -> None:
          "in the panel (`smooth_windows.py`)", smooth_cloth(),
          "`test_smooth_windows.py::test_what_folds_is_noticed_and_searched_again`, `..._sheet_that_is_folded_over_...`",
          "`test_smooth_windows.py::test_sheet_that_swings_without_folding_...`"),
-        ("sides of cloth, corners of the body",
-         "a plane between a triangle of the cloth and all of the body near it (`separating_planes.py`)", sides(),
-         "`test_separating_planes.py::test_a_triangle_that_comes_low_gets_another_plane_or_its_pairs`",
-         "not to the bit: `test_separating_planes.py::test_what_has_no_plane_has_all_the_pairs_that_there_are`"),
         ("air", "k_a = 0", air(), "`test_only_what_is_needed.py::test_drag_of_a_run_to_rest_...`",
          "`test_switched_off.py::test_term_that_is_off_...`"),
         ("cloth at rest", "nothing moves by 0.1 um in a window after a run to rest", asleep,

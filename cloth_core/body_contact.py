@@ -15,9 +15,8 @@ from cloth_core.errors import SceneError
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
 from cloth_core.near_distances import point_triangle_distances, segment_distances
-from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, PUSH_TIME
+from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
 from cloth_core.pair_list import doubled, write_pair
-from cloth_core.separating_planes import SeparatingPlanes, pairs_near, separate
 
 __all__ = ["BodyContact", "VertexPlanes", "arm", "hold_vertices", "vertex_body_gaps"]
 
@@ -26,9 +25,6 @@ Ints = NDArray[np.int32]
 
 # Sides and body corners are held off at this share of the vertices' offset: they only act where vertices cannot.
 _SIDE_OFFSET_SHARE = 0.5
-# How much higher than where sides count the corners of a triangle must be above a plane for it to be worth one, as a
-# share of the vertices' offset.
-_CLEAR_SHARE = 0.1
 # A vertex's contact planes are renewed when it has moved by this share of the offset; it has some from twice this share
 # beyond the offset on.
 _RENEWAL_SHARE = 0.05
@@ -117,43 +113,28 @@ class BodyContact:
     Args:
         body: the obstacle.
         offset: distance at which cloth vertices are held from the body [m].
-
-    Attributes:
-        moves: whether the body is on its way somewhere; no plane separates anything from it for long then.
     """
 
     def __init__(self, body: Body, offset: float) -> None:
         self.body = body
         self.offset = offset
-        self.moves = False
         self.side_offset = _SIDE_OFFSET_SHARE * offset
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
-        self._cloth_boxes = (np.zeros((0, 8)), np.zeros((0, 8)))
         self._boxes: tuple[Floats, Floats] | None = None
         self._boxes_of: Body | None = None
 
     def candidates(
-        self,
-        x: Floats,
-        triangles: Ints,
-        cloth: Representatives,
-        tree: AabbTree,
-        radius: float | Floats,
-        separating: SeparatingPlanes,
-        wanted: Floats,
-    ) -> tuple[VertexPlanes, SeparatingPlanes, Ints, Floats, Floats]:
+        self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float | Floats
+    ) -> tuple[VertexPlanes, Ints, Floats, Floats]:
         """All pairs that can come into contact while no particle moves farther than its radius from x (n, 3) [m].
 
         Args:
             x, triangles, cloth: positions [m], the cloth's triangles and who owns what.
             tree: of the cloth's triangles, its boxes enlarged by at least offset + radius.
             radius: [m], for all or for each particle, (n,).
-            separating: without any plane.
-            wanted: how far particles want to go [m], (n,).
 
         Returns:
-            the vertex pairs; planes that make other pairs superfluous; those that are needed as rows (s, 7), their
-            offsets (s,) and distances (s,) [m].
+            the vertex pairs; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
         """
         most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * (len(triangles) + len(self.body.triangles))
         found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
@@ -167,44 +148,20 @@ class BodyContact:
             found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
         body = self.body
         body_x, own = body.vertices, body.representatives
-        if not self.moves:
-            lowest = COUNTS_FROM * self.side_offset
-            separating = separating._replace(lowest=lowest, high=lowest + _CLEAR_SHARE * self.offset)
-            start, near = separate(x, wanted, separating, body_x, body.triangles, self._leaf_pairs[:found])
-            separating = separating._replace(near_start=start, near=near)
         margin = np.ascontiguousarray(np.broadcast_to(self.side_offset + radius, len(x)))
-        cloth_boxes = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
-        self._cloth_boxes = cloth_boxes
+        cloth_triangles, cloth_edges = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
         reach = margin + (self.offset - self.side_offset)
         vertices, corners, sides = _box_pairs(
-            x, reach, cloth, *cloth_boxes, body_x, own, *self._body_boxes(), self._leaf_pairs[:found],
-            separating.separated,
-        )  # fmt: skip
+            x, reach, cloth, cloth_triangles, cloth_edges, body_x, own, *self._body_boxes(), self._leaf_pairs[:found]
+        )
         distance = point_triangle_distances(x, body_x, body.triangles, vertices)
-        within = distance < reach[vertices[:, 0]]
-        planes = VertexPlanes.of(len(x), vertices[within], distance[within])
-        return planes, separating, *self._near_pairs(x, triangles, cloth, corners, sides)
-
-    def further_pairs(
-        self, x: Floats, triangles: Ints, cloth: Representatives, separating: SeparatingPlanes, lost: Ints
-    ) -> tuple[Ints, Floats, Floats]:
-        """What `candidates` would have found besides at x (n, 3) [m], had the triangles lost (k,) had no plane."""
-        _, corners, sides = _box_pairs(
-            x, np.zeros(len(x)), cloth, *self._cloth_boxes, self.body.vertices, self.body.representatives,
-            *self._body_boxes(), pairs_near(separating, lost), separating.separated,
-        )  # fmt: skip
-        return self._near_pairs(x, triangles, cloth, corners, sides)
-
-    def _near_pairs(
-        self, x: Floats, triangles: Ints, cloth: Representatives, corners: Ints, sides: Ints
-    ) -> tuple[Ints, Floats, Floats]:
-        body_x, body_edges = self.body.vertices, self.body.representatives.edges
-        cloth_triangles, cloth_edges = self._cloth_boxes
+        near = distance < reach[vertices[:, 0]]
+        planes = VertexPlanes.of(len(x), vertices[near], distance[near])
         rows, distance = _near_pairs(
             corners, point_triangle_distances(body_x, x, triangles, corners), triangles, cloth_triangles,
-            sides, segment_distances(x, cloth.edges, body_x, body_edges, sides), cloth.edges, cloth_edges, body_edges,
+            sides, segment_distances(x, cloth.edges, body_x, own.edges, sides), cloth.edges, cloth_edges, own.edges,
         )  # fmt: skip
-        return rows, np.full(len(rows), self.side_offset), distance
+        return planes, rows, np.full(len(rows), self.side_offset), distance
 
     def _body_boxes(self) -> tuple[Floats, Floats]:
         """Boxes of the body's triangles and sides, (t, 8) and (e, 8), as long as it stays where it is."""
@@ -230,12 +187,10 @@ def _box_pairs(
     body_triangles: Floats,
     body_edges: Floats,
     leaf_pairs: Ints,
-    separated: NDArray[np.bool_],
 ) -> tuple[Ints, Ints, Ints]:
     """Whose boxes overlap in pairs of triangles (p, 2): each twice the index of what the cloth and the body have there.
 
     Shapes: x (n, 3) and margin (n,) of the cloth's vertices [m]; boxes of the triangles and sides of both (any, 8).
-    Cloth triangles that are separated (m,) have no pair but those of their vertices.
 
     Returns:
         (cloth vertex, body triangle), (body vertex, cloth triangle) and (cloth side, body side), (any, 2) each.
@@ -254,8 +209,6 @@ def _box_pairs(
             i = cloth.own_vertices[ct, 1 + k]
             vertices[vertex_count, 0], vertices[vertex_count, 1] = i, bt
             vertex_count += in_box(x, i, margin[i], body_triangles, bt)
-        if separated[ct]:
-            continue
         for k in range(body.own_vertices[bt, 0]):
             j = body.own_vertices[bt, 1 + k]
             corners[corner_count, 0], corners[corner_count, 1] = j, ct

@@ -15,7 +15,6 @@ from cloth_core.kernel import kernel
 from cloth_core.mesh_topology import representatives
 from cloth_core.pair_contacts import PairContacts
 from cloth_core.self_contact import SelfContact
-from cloth_core.separating_planes import SeparatingPlanes, given_up
 from cloth_core.travel_renewal import enough_of_radius, pairs_of_particles
 
 __all__ = ["BroadPhase"]
@@ -45,7 +44,6 @@ class BroadPhase:
         x: place of each particle [m], (n, 3); radii: how far from there it may go [m], (n,).
         planes, pairs: what was found: vertices near triangles of the body, and everything else.
         start, entries: the pairs of particle i are entries[start[i] : start[i + 1]].
-        separating: planes that make some pairs with the body superfluous as long as they hold.
         alone: particles that are near nothing, (n,).
         searches: how many there were.
     """
@@ -63,7 +61,6 @@ class BroadPhase:
         self._tree: AabbTree | None = None
         self._body_x: Floats | None = None
         self._wider = 1.0
-        self.separating = SeparatingPlanes.none(self.triangles)
         self.forget()
         self.pairs = PairContacts.none()
 
@@ -76,14 +73,14 @@ class BroadPhase:
         """Search what has to be searched at x (n, 3) [m], where particles want to go so far from there [m], (n,).
 
         Returns:
-            whether any pairs have been found; how far each particle is from its place, with how far the body has moved
+            whether anything was searched; how far each particle is from its place, with how far the body has moved
             since, and what is left of its radius, (n,) [m]; how far the body has moved [m].
         """
         if len(self.x) == len(x):
             way_of_body = self._way_of_body()
             short, moved, left = _left_of_radius(x, self.x, self.radii, way_of_body, wanted, self.radius)
             if not short:
-                return self._add_pairs_without_plane(x, wanted), moved, left, way_of_body
+                return False, moved, left, way_of_body
         self._search(x, wanted)
         return True, np.zeros(len(x)), self.radii, 0.0
 
@@ -101,8 +98,8 @@ class BroadPhase:
             if self._tree is None:
                 self._tree = build_tree(x, self.triangles)
             refit_tree(self._tree, x, self.triangles, self.body.offset + self.radii)
-            self.planes, self.separating, of_body, offset, distance = self.body.candidates(
-                x, self.triangles, self._representatives, self._tree, self.radii, self.separating.cleared(), wanted
+            self.planes, of_body, offset, distance = self.body.candidates(
+                x, self.triangles, self._representatives, self._tree, self.radii
             )
             parts.append((of_body, offset, distance))
             self._body_x = self.body.body.vertices
@@ -122,22 +119,6 @@ class BroadPhase:
             self._wider = min(self._wider * _WIDEN, _WIDEST)
         elif found > _MANY_PAIRS * len(x):
             self._wider = max(self._wider / _WIDEN, 1.0)
-
-    def _add_pairs_without_plane(self, x: Floats, wanted: Floats) -> bool:
-        """Renew the separating planes at x; add pairs for what has none any more, and whether there was any."""
-        if self.body is None or self.body.moves:
-            return False
-        lost = given_up(x, wanted, self.separating, self.body.body.vertices, self.body.body.triangles)
-        if len(lost) == 0:
-            return False
-        # As they would have been found where the last search was, on whose places and radii all pairs depend.
-        rows, offset, distance = self.body.further_pairs(
-            self.x, self.triangles, self._representatives, self.separating, lost
-        )
-        self.pairs = self.pairs.with_more(rows, offset, distance)
-        self.start, self.entries = pairs_of_particles(self.pairs.particles, len(x))
-        self.alone &= np.diff(self.start) == 0
-        return True
 
     def _way_of_body(self) -> float:
         """Farthest that any vertex of the body has moved since the search [m]."""

@@ -46,7 +46,6 @@ from cloth_core.pair_contacts import (
     repeat_impulses,
 )
 from cloth_core.self_contact import SelfContact
-from cloth_core.separating_planes import SeparatingPlanes, height_above_planes
 from cloth_core.travel_renewal import (
     BODY_TRAVEL,
     CLOTH_TRAVEL,
@@ -69,7 +68,6 @@ Ints = NDArray[np.int32]
 # How far the fastest particle may move between two broad phases, if nobody says otherwise [m].
 _RADIUS = 0.006
 _NO_BODY = np.zeros((0, 3))
-_NO_TRIANGLES = np.zeros((0, 3), dtype=np.int32)
 
 
 class ContactState(NamedTuple):
@@ -80,7 +78,6 @@ class ContactState(NamedTuple):
         travel: how far each particle may move from there [m], (n,).
         planes: cloth vertices against body triangles.
         pairs: everything else.
-        separating: planes between triangles of the cloth and the body, on which pairs depend that are left out.
         near: what bounds the direction of particles that nearly touch something.
         renewal: what it takes to renew origin and travel of single particles.
     """
@@ -89,7 +86,6 @@ class ContactState(NamedTuple):
     travel: Floats
     planes: VertexPlanes
     pairs: PairContacts
-    separating: SeparatingPlanes
     near: NearPlanes
     renewal: Renewal
 
@@ -97,9 +93,8 @@ class ContactState(NamedTuple):
     def none(cls) -> ContactState:
         """State of a scene in which nothing can collide."""
         return cls(
-            np.zeros((3, 0)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(),
-            SeparatingPlanes.none(_NO_TRIANGLES), NearPlanes.none(), Renewal.none(),
-        )  # fmt: skip
+            np.zeros((3, 0)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(), NearPlanes.none(), Renewal.none()
+        )
 
 
 class ContactSettings(NamedTuple):
@@ -175,9 +170,9 @@ class Contact:
             )  # fmt: skip
         granted = np.where(broad.alone, left, np.minimum(wanted, left))
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
-        body_triangles = self.body.body.triangles if self.body is not None else _NO_TRIANGLES
+        body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
         travel, near = _narrow_phase(
-            x, planes, pairs, broad.separating, body_x, body_triangles, moved, granted, self._renewal.place,
+            x, planes, pairs, body_x, body_triangles, moved, granted, self._renewal.place,
             self.body.offset if self.body is not None else 0.0,
         )  # fmt: skip
         self.narrow_phases += 1
@@ -185,8 +180,7 @@ class Contact:
             planes.plane_count[:] = -1
             self._searched_body_x = body_x
         renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
-        origin = np.ascontiguousarray(x.T)
-        return ContactState(origin, travel, planes, pairs, broad.separating, NearPlanes.of(near), renewal)
+        return ContactState(np.ascontiguousarray(x.T), travel, planes, pairs, NearPlanes.of(near), renewal)
 
     def forget(self) -> None:
         """Let the next search be one with a broad phase."""
@@ -198,7 +192,6 @@ def _narrow_phase(
     x: Floats,
     planes: VertexPlanes,
     pairs: PairContacts,
-    separating: SeparatingPlanes,
     body_x: Floats,
     body_triangles: Ints,
     moved: Floats,
@@ -225,8 +218,7 @@ def _narrow_phase(
             arm(planes, i)
         if travel[i] < NEAR:
             travel[i], near, near_count = _near_body(i, x, planes, body_x, body_triangles, reach[i], near, near_count)
-        above = height_above_planes(x, i, separating) - separating.lowest
-        travel[i] = min(min(BODY_TRAVEL * travel[i], above), reach[i])
+        travel[i] = min(BODY_TRAVEL * travel[i], reach[i])
     closest = np.zeros(3)
     count = 0
     for s in range(pairs.kind.shape[0]):

@@ -96,13 +96,13 @@ class BodyMotion:
         self.body = with_vertices(self.body, vertices)
         return self.body
 
-    def found(self, x: Floats, contacts: ContactState, side_offset: float) -> ContactState:
+    def found(self, x: Floats, contacts: ContactState, offset: float) -> ContactState:
         """Notes how long the body may move after a search; returns its contacts with half of the travel.
 
         Args:
             x: positions at the search [m], shape (n, 3).
             contacts: what it found; its contact planes are those of where the body was, and are computed anew.
-            side_offset: distance at which sides of the cloth are held from the body, less than its vertices [m].
+            offset: distance at which cloth is held from the body [m].
         """
         planes, pairs = contacts.planes, contacts.pairs
         planes.plane_count[:] = -1
@@ -112,8 +112,8 @@ class BodyMotion:
             self._full_velocity,
         )  # fmt: skip
         if self._highest_speed > 0.0:
-            # What is not listed is farther apart than this beyond the reach of the cloth.
-            clear = side_offset + 0.5 * float(contacts.travel.min())
+            # What is not listed is farther apart than half the offset beyond the reach of the cloth.
+            clear = 0.5 * offset + 0.5 * float(contacts.travel.min())
             safe = min(safe, clear / self._highest_speed)
         self._safe_time = min(_BODY_SHARE * safe, _LONGEST_TIME)
         near = contacts.near._replace(room=0.5 * contacts.near.room)

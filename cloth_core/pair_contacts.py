@@ -117,12 +117,6 @@ class PairContacts(NamedTuple):
         """No pairs."""
         return cls.of(np.zeros((0, 7), dtype=np.int32), np.zeros(0), np.zeros(0))
 
-    def with_more(self, rows: Ints, offset: Floats, distance: Floats) -> PairContacts:
-        """These pairs as they are, and others behind them, as in `of`; none of them is listed."""
-        more = PairContacts.of(rows, offset, distance)
-        joined = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in _OF_EACH_PAIR}
-        return more._replace(**joined, active_count=self.active_count.copy())
-
     def remember(self, before: PairContacts, start: Ints, entries: Ints) -> None:
         """Take over the impulses of the pairs in contact of an earlier list, so that the next step starts from them.
 
@@ -142,10 +136,6 @@ class PairContacts(NamedTuple):
             mine[new] = theirs[old]
         self.active[: len(new)] = new
         self.active_count[0] = len(new)
-
-
-# Attributes that have an entry for each pair.
-_OF_EACH_PAIR = tuple(name for name in PairContacts._fields if not name.endswith("_count"))
 
 
 @kernel

@@ -373,7 +373,6 @@ class Simulation:
         motion = BodyMotion(self.scene.body, vertices, duration, max_speed)
         self._body_motion = None if motion.done else motion
         self._contact_settings = self._contact_settings._replace(body_velocity=motion.velocity)
-        self._note_body_moves()
         self._search_contacts()
         self._wake()
 
@@ -381,15 +380,6 @@ class Simulation:
     def body_moves(self) -> bool:
         """Whether the body is on its way."""
         return self._body_motion is not None
-
-    def _note_body_moves(self) -> None:
-        """Let contacts be searched anew if the body has started or ended to move."""
-        contact = self.model.contact
-        assert contact is not None
-        assert contact.body is not None
-        if contact.body.moves != self.body_moves:
-            contact.body.moves = self.body_moves
-            contact.forget()
 
     def _wake(self) -> None:
         self.settled = self._asleep = False
@@ -409,7 +399,6 @@ class Simulation:
         )
         if self._body_motion.done:
             self._body_motion = None
-            self._note_body_moves()
 
     def _run(self, count: int, last_time: float = math.inf) -> None:
         self._refuse_to_go_on()
@@ -531,7 +520,6 @@ class Simulation:
         self._contact_settings = model.contact_settings()
         if self._body_motion is not None:
             self._contact_settings = self._contact_settings._replace(body_velocity=self._body_motion.velocity)
-            self._note_body_moves()
         self._work = Workspace.of(0)  # so that the old one takes no room meanwhile
         self._stable = model.stable_step(self._x, self._air_drag())
         self._work = Workspace.of(len(self._x))
@@ -586,8 +574,7 @@ class Simulation:
         )  # fmt: skip
         self._contacts = self._contacts._replace(renewal=renewal)
         if self._body_motion is not None:
-            assert self.model.contact.body is not None
-            self._contacts = self._body_motion.found(self._x, self._contacts, self.model.contact.body.side_offset)
+            self._contacts = self._body_motion.found(self._x, self._contacts, self._contact_settings.offset)
         self._flight_step = self._longest_flight(speed)
 
     @property

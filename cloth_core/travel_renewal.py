@@ -22,7 +22,6 @@ from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
-from cloth_core.separating_planes import find_plane, height_above_plane
 
 if TYPE_CHECKING:
     from cloth_core.contact import ContactState
@@ -216,18 +215,15 @@ def _renew(
         nx, ny, nz = away_from_triangle(x[p], body_x[a], body_x[b], body_x[c], wa, wb, wc, distance)
         if not put_plane(state.near, p, nx, ny, nz, room):
             return -1
+    travel = min(BODY_TRAVEL * travel, granted)
     for axis in range(3):
         state.origin[axis, p] = x[p, axis]
-    origin = particle_rows(state.origin, x.shape[0])
-    above = _way_above_planes(p, origin, v, state, body_x, body_triangles, moved, dt)
-    if above < 0.0:
-        return -1
-    travel = min(min(BODY_TRAVEL * travel, above), granted)
     renewal.way[p] = way
     state.travel[p] = granted
     moved[p] = 0.0
     renewal.renewed[p] = renewal.turn[0]
     closest = np.zeros(3)
+    origin = particle_rows(state.origin, x.shape[0])
     for entry in range(renewal.start[p], renewal.start[p + 1]):
         s = renewal.entries[entry]
         needed = COUNTS_FROM * pairs.offset[s] + nearer_by(pairs.kind, pairs.particles, s, state.travel)
@@ -286,42 +282,6 @@ def _renew(
         return -1
     state.travel[p] = travel
     return count
-
-
-@inlined_kernel
-def _way_above_planes(
-    p: int,
-    origin: Floats,
-    v: Floats,
-    state: ContactState,
-    body_x: Floats,
-    body_triangles: Ints,
-    moved: Floats,
-    dt: float,
-) -> float:
-    """How far particle p may go by the planes of its triangles [m], of which low ones are renewed; -1 if that fails."""
-    planes = state.separating
-    shortest = np.inf
-    for entry in range(planes.start[p], planes.start[p + 1]):
-        t = planes.entries[entry]
-        if not planes.separated[t]:
-            continue
-        height = height_above_plane(origin, p, planes, t)
-        if height < planes.high or not _may_fly(height - planes.lowest, p, v, state.renewal, dt):
-            if not find_plane(t, origin, state.travel, 0.0, planes, body_x, body_triangles):
-                return -1.0
-            # The other corners may be anywhere within their travel.
-            for k in range(3):
-                q = planes.corners[t, k]
-                bound = height_above_plane(origin, q, planes, t) - planes.lowest
-                if q == p or state.travel[q] <= bound:
-                    continue
-                if moved[q] > (SPENT * bound) ** 2 or not _may_fly(bound, q, v, state.renewal, dt):
-                    return -1.0
-                state.travel[q] = bound
-            height = height_above_plane(origin, p, planes, t)
-        shortest = min(shortest, height - planes.lowest)
-    return shortest
 
 
 @inlined_kernel

@@ -143,7 +143,7 @@ def test_resting_coarse_sheet_stays_off_edges_and_tips():
         x, triangles = simulation.sewn_mesh()
         assert crossings(x, triangles, body) == 0
         nearest = min(point_triangle_distance(tip, *x[t]) for tip in tips for t in triangles) ** 0.5
-        assert nearest > 0.8 * BodyContact(body, OFFSET).side_offset
+        assert nearest > 0.4 * OFFSET
     assert x[:, 2].min() < -0.01  # it has come down on them
 
 
@@ -157,37 +157,22 @@ def test_travel_bound_is_less_than_the_distance_to_anything(seed):
     x = garment.start + 0.01 * rng.standard_normal(garment.start.shape)
     contact = Contact(garment.triangles, BodyContact(body, OFFSET), radius=0.2)
     reach = 0.2
-    found = contact.search(x, reach)
-    travel, planes = found.travel, found.separating
-    free, everywhere = np.full(len(x), np.inf), np.full(len(x), np.inf)
-    # Sides and faces of a triangle stay clear of the body where a plane does, above which its corners stay.
-    height = np.full(len(x), np.inf)
-    apart: set[tuple[int, ...]] = set()
-    for t in np.flatnonzero(planes.separated):
-        assert (body.vertices @ planes.normal[t] <= planes.level[t] + 1e-12).all()
-        corners = garment.triangles[t]
-        np.minimum.at(height, corners, x[corners] @ planes.normal[t] - planes.level[t])
-        apart |= {tuple(corners), *(tuple(sorted(corners[[k, k - 1]])) for k in range(3))}
+    travel = contact.search(x, reach).travel
+    free = np.full(len(x), np.inf)
     for t in garment.triangles:
         for b in body.triangles:
             p, q = x[t], body.vertices[b]
             for k in range(3):
-                bounds = [([t[k]], point_triangle_distance(p[k], *q)), (t, point_triangle_distance(q[k], *p))]
+                free[t[k]] = min(free[t[k]], point_triangle_distance(p[k], *q))
+                free[t] = np.minimum(free[t], point_triangle_distance(q[k], *p))
                 for m in range(3):
                     side = t[[k, (k + 1) % 3]]
-                    bounds.append((side, edge_edge_distance(*x[side], q[m], q[(m + 1) % 3])))
-                for part, distance in bounds:
-                    everywhere[part] = np.minimum(everywhere[part], distance)
-                    if tuple(part) not in apart and tuple(sorted(part)) not in apart:
-                        free[part] = np.minimum(free[part], distance)
-    free, everywhere = np.sqrt(free), np.sqrt(everywhere)
-    assert everywhere.min() < 0.1  # near enough to say something
+                    free[side] = np.minimum(free[side], edge_edge_distance(*x[side], q[m], q[(m + 1) % 3]))
+    free = np.sqrt(free)
+    assert free.min() < 0.1  # near enough to say something
     assert (travel > 0).all()
     assert (travel < free).all()
-    above = height - planes.lowest
-    assert (travel <= above + 1e-12).all()
-    bounds = np.minimum(np.minimum(0.85 * everywhere, above), 0.9 * reach)
-    assert (travel >= bounds - 1e-12).all()  # and not much less
+    assert (travel >= np.minimum(0.85 * free, 0.9 * reach) - 1e-12).all()  # and not much less
 
 
 # ---- nothing is pulled back, nothing is given away

@@ -107,25 +107,6 @@ def distances_to(
     return [np.sqrt(d) for d in far], [np.broadcast_to(f[:, None], d.shape) for f, d in zip(free, far, strict=True)]
 
 
-def kept_apart(body: Body, found: ContactState, triangles: np.ndarray) -> list[np.ndarray]:
-    """Vertices (none), faces and sides that a plane keeps apart from the body, wherever their corners go."""
-    planes, faces = found.separating, np.zeros(len(triangles), dtype=bool)
-    broad_x, radii, corner = found.renewal.broad_x, found.renewal.radii, body.vertices[body.triangles]
-    for t in np.flatnonzero(planes.separated):
-        corners = triangles[t]
-        lowest = found.origin.T[corners] @ planes.normal[t] - planes.level[t] - found.travel[corners]
-        above = (body.vertices @ planes.normal[t] > planes.level[t] + 1e-12)[body.triangles].any(axis=1)
-        # What is above the plane must be farther than the corners can go.
-        low, high = broad_x[corners].min(axis=0), broad_x[corners].max(axis=0)
-        low, high = low - radii[corners].max(), high + radii[corners].max()
-        out_of_reach = (corner.min(axis=1) > high).any(axis=1) | (corner.max(axis=1) < low).any(axis=1)
-        faces[t] = out_of_reach[above].all() and (lowest > 0.0).all()
-    edges = unique_edges(triangles)[0]
-    sides = {tuple(side) for side in unique_edges(triangles[faces])[0].tolist()}
-    of_sides = np.array([tuple(side) in sides for side in edges.tolist()])
-    return [np.zeros(found.origin.shape[1], dtype=bool), faces, of_sides]
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_cloth_may_never_travel_as_far_as_it_is_from_a_body(seed):
     rng = np.random.default_rng(seed)
@@ -139,7 +120,7 @@ def test_cloth_may_never_travel_as_far_as_it_is_from_a_body(seed):
     contact, side_offset = Contact(garment.triangles, body_search, radius=0.02), body_search.side_offset
     found = renewable(contact.search(x, 0.01))
     renewals = 0
-    for _ in range(40):
+    for _ in range(25):
         x = some_go_far(rng, x, found, 0.05)
         moved = np.zeros(len(x))
         keep_within_travel(x, np.zeros_like(x), found, moved)
@@ -152,10 +133,8 @@ def test_cloth_may_never_travel_as_far_as_it_is_from_a_body(seed):
         from_broad = np.linalg.norm(found.origin.T - broad_x, axis=1) + found.travel
         here = zip(*distances_to(body, found.origin.T, found.travel, garment.triangles), strict=True)
         there = zip(*distances_to(body, broad_x, from_broad, garment.triangles), strict=True)
-        for (nearest, free), (broad_distance, all_the_way), apart in zip(
-            here, there, kept_apart(body, found, garment.triangles), strict=True
-        ):
-            enough = (free <= 0.901 * nearest) | (all_the_way <= broad_distance - side_offset) | apart[:, None]
+        for (nearest, free), (broad_distance, all_the_way) in zip(here, there, strict=True):
+            enough = (free <= 0.901 * nearest) | (all_the_way <= broad_distance - side_offset)
             assert enough[nearest > NEAR].all()
     assert renewals > 15
 
