@@ -220,7 +220,6 @@ class Model:
         self, x: Floats, air_drag: float, mode: Floats | None = None, tolerance: float = 5e-4
     ) -> StableStep:
         """Largest stable time step at positions x (k, 3) [m]; mode: that of the last estimate, to start from."""
-        forces = self.force_terms(air_drag)
         acts = self._stiffness > 0.0
         pairs = self.springs.pairs[acts]
         terms = StiffnessTerms(
@@ -228,18 +227,7 @@ class Model:
             spring_rows=spring_rows(x, pairs, self.springs.rest_length[acts], self._stiffness[acts]),
             cells=self.trellis,
             cell_rows=trellis_rows(x, self.trellis, self.trellis_stiffness),
-            spring_damping_time=forces.spring_damping_time,
-            lines=forces.lines,
-            twists=forces.twists,
-            hinges=forces.hinges,
-            hinge_weights=forces.hinge_weights,
-            hinge_stiffness=forces.hinge_stiffness,
-            bending_damping_time=forces.bending_damping_time,
-            seam_pairs=forces.seam.pairs,
-            seam_stiffness=forces.seam.stiffness,
-            seam_damping=forces.seam.damping,
-            mass=self.mass,
-            air_drag=forces.air_drag,
+            forces=self.force_terms(air_drag),
         )
         return stable_time_step(lambda u, k, c: weighted_product(terms, u, k, c), self.inverse_mass, mode, tolerance)
 

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.axis_layout import by_axis
 from cloth_core.bending import bending_forces
 from cloth_core.kernel import kernel
-from cloth_core.runs import Runs
+from cloth_core.step import ForceTerms
 from cloth_core.trellis import add_trellis_stiffness
 from cloth_core.twist import twist_forces
 
@@ -24,60 +25,48 @@ Ints = NDArray[np.int32]
 
 
 class StiffnessTerms(NamedTuple):
-    """Elements with their stiffness at the present positions; what a model does not have is empty.
+    """What a model's forces are at the present positions as stiffness; what it does not have is empty.
 
     Attributes:
-        pairs, spring_rows: springs, (s, 2) and (s, 4) as from `spring_rows`.
-        cells, cell_rows: shear, (q, 4) and (q, 8) as from `trellis_rows`; spring_damping_time of both [s].
-        lines, twists, hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m]: bending, as in `ForceTerms`.
-        bending_damping_time: [s].
-        seam_pairs (p, 2), seam_stiffness [N/m], seam_damping (p,) [N s/m]: pull of the open seams.
-        mass: [kg], (n,); air_drag: [1/s].
+        pairs, spring_rows: springs that act, (s, 2) and (s, 4) as from `spring_rows`.
+        cells, cell_rows: shear, (q, 4) and (q, 8) as from `trellis_rows`.
+        forces: all that is linear in positions and velocities as it is, and the damping times.
     """
 
     pairs: Ints
     spring_rows: NDArray[np.float32]
     cells: Ints
     cell_rows: NDArray[np.float32]
-    spring_damping_time: float
-    lines: Runs
-    twists: Runs
-    hinges: Ints
-    hinge_weights: Floats
-    hinge_stiffness: Floats
-    bending_damping_time: float
-    seam_pairs: Ints
-    seam_stiffness: float
-    seam_damping: Floats
-    mass: Floats
-    air_drag: float
+    forces: ForceTerms
 
 
 @kernel
 def weighted_product(terms: StiffnessTerms, u: Floats, k: float, c: float) -> Floats:
     """k K u + c C u with stiffness K [N/m] and damping C [N s/m], for a displacement u (n, 3)."""
+    forces, seam = terms.forces, terms.forces.seam
     total = np.zeros_like(u)
-    along_weight = k + c * terms.spring_damping_time
+    along_weight = k + c * forces.spring_damping_time
     _add_spring_stiffness(u, terms.pairs, terms.spring_rows, k, along_weight, total)
     add_trellis_stiffness(u, terms.cells, terms.cell_rows, k, along_weight, total)
-    axes, bends = np.ascontiguousarray(u.T), np.zeros((3, u.shape[0]))
-    bending_forces(axes, terms.lines, terms.hinges, terms.hinge_weights, terms.hinge_stiffness, bends)
-    twist_forces(axes, terms.twists, bends)
-    weight = k + c * terms.bending_damping_time
+    axes, bends = np.empty((3, u.shape[0])), np.zeros((3, u.shape[0]))
+    by_axis(u, axes)
+    bending_forces(axes, forces.lines, forces.hinges, forces.hinge_weights, forces.hinge_stiffness, bends)
+    twist_forces(axes, forces.twists, bends)
+    weight = k + c * forces.bending_damping_time
     for i in range(u.shape[0]):
         for axis in range(3):
             total[i, axis] -= weight * bends[axis, i]
-    for s in range(terms.seam_pairs.shape[0]):
+    for s in range(seam.pairs.shape[0]):
         # The graph's Laplacian: an upper bound for a pull in any direction.
-        i, j = terms.seam_pairs[s, 0], terms.seam_pairs[s, 1]
-        pull = k * terms.seam_stiffness + c * terms.seam_damping[s]
+        i, j = seam.pairs[s, 0], seam.pairs[s, 1]
+        pull = k * seam.stiffness + c * seam.damping[s]
         for axis in range(3):
             difference = pull * (u[j, axis] - u[i, axis])
             total[i, axis] -= difference
             total[j, axis] += difference
-    if terms.air_drag > 0.0:
+    if forces.air_drag > 0.0:
         for i in range(u.shape[0]):
-            drag = c * terms.air_drag * terms.mass[i]
+            drag = c * forces.air_drag * forces.mass[i]
             for axis in range(3):
                 total[i, axis] += drag * u[i, axis]
     return total
