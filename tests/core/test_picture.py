@@ -11,7 +11,7 @@ from PIL import Image
 from cloth_core.camera import LENS, MARGIN, VIEWS, Camera
 from cloth_core.errors import ClothError
 from cloth_core.picture import Renderer, draw
-from cloth_core.shading import Obstacles, Surface
+from cloth_core.shading import Obstacles, Surface, _rounded
 
 RED, BLUE, GREEN = (0.8, 0.1, 0.1), (0.1, 0.1, 0.8), (0.1, 0.7, 0.1)
 FILLED = 1 - 2 * MARGIN
@@ -337,3 +337,23 @@ def test_import_loads_no_renderer():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("slope", [20.0, 40.0, 70.0, 85.0])
+def test_facets_are_rounded_for_shadows_but_not_at_a_sharp_crease(slope):
+    # A roof: the normals at its ridge point up and lean away from those of its sides by their slope.
+    rise = np.tan(np.radians(slope))
+    corners = [[-1.0, 0, -rise], [-1.0, 3, -rise], [0.0, 0, 0], [0.0, 3, 0], [1.0, 0, -rise], [1.0, 3, -rise]]
+    vertices = np.array(corners, dtype=np.float32)
+    triangles = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]], dtype=np.int32)
+    surface = Surface(vertices, triangles, (0.5, 0.5, 0.5), cloth=False)
+    across, along = np.sin(np.radians(slope)), np.cos(np.radians(slope))
+    left, up, right = [-across, 0.0, along], [0.0, 0.0, 1.0], [across, 0.0, along]
+    surface.normals = np.array([left, left, up, up, right, right], dtype=np.float32)
+    weights = np.full((len(triangles), 3), 1 / 3, dtype=np.float32)
+    points = _rounded(surface, triangles, weights, np.ones((len(triangles), 1), dtype=np.float32))
+    lifted = points - vertices[triangles].mean(axis=1)
+    if slope > 60.0:
+        np.testing.assert_allclose(lifted, 0.0, atol=1e-6)
+    else:
+        assert (lifted[:, 2] > 0.1 * rise).all()

@@ -195,6 +195,6 @@ def test_three_layers_between_jaws_that_close_farther_than_there_is_room(leave):
     opened[len(lower.vertices) :, 2] += 0.05
     simulation.move_body(opened, 0.1)
     *_, last = pressed(simulation, 0.3)
-    assert last > 0.9 * min(scene.settings.cloth_offset, BodyContact(jaws, scene.settings.contact_offset).side_offset)
+    assert last > 0.9e-3
     assert not simulation.body_moves
     np.testing.assert_array_equal(simulation.scene.body.vertices, opened)
