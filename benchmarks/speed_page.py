@@ -21,13 +21,12 @@ of the lattice that no two arrays overlap, and with the last elements of each ru
 new in turn in one process: damped springs 179 to 134 us, undamped 149 to 116 us. The other figures below are from
 separate runs minutes apart, under a load that changed. Bending: 70 to 62 us.
 
-Much of the rest of a step was moving data: the state changed between a row for each particle and a row for each
-axis twice in every step. It now stays by axis (85 to about 27 us at 128 x 128 where nothing can touch; with contact,
-which has a view by particle on it, 1.88 to 1.74 s for all steps of scene B at 64 x 64, and 0.99 to 0.90 for those of
-the T-shirt at 20 mm). Rows
-of 16,384 numbers also lay a multiple of 4 kB apart, so that 18 of them competed for 8 places of the first-level
-cache; those of the workspace are now shifted against each other (damped springs inside a run: 165 to between 115
-and 140 us). A step as a whole went from 373 to 230 us.
+Much of the rest of a step was moving data: the state changed between a row for each particle and a row for each axis
+twice in every step. It now stays by axis (85 to about 27 us at 128 x 128 where nothing can touch; with contact, which
+has a view by particle on it, 1.88 to 1.74 s for all steps of scene B at 64 x 64, and 0.99 to 0.90 for those of the
+T-shirt at 20 mm). Rows of 16,384 numbers also lay a multiple of 4 kB apart, so that 18 of them competed for 8 places
+of the first-level cache; those of the workspace are now shifted against each other (damped springs inside a run: 165
+to between 115 and 140 us). A step as a whole went from 373 to 230 us.
 
 Outside of the steps it was the estimate of the stable time step, 60 times a simulated second: more than the steps
 themselves at 128 x 128, most of it in BLAS, whose threads wait for each other on a busy machine. The first 0.2 s of
