@@ -27,7 +27,7 @@ from cloth_core.simulation import Simulation
 def energy(simulation: Simulation) -> float:
     """Kinetic and potential energy and that of the springs [J]; bending, the least part, is left out."""
     model, (x, _) = simulation.model, simulation.sewn_mesh()
-    v, springs = simulation._v, model.springs
+    v, springs = simulation.motion.v, model.springs
     length = np.linalg.norm(x[springs.pairs[:, 1]] - x[springs.pairs[:, 0]], axis=1)
     kinetic = 0.5 * float((model.mass[:, None] * v**2).sum())
     lifted = -float((model.mass * (x @ np.array(simulation.scene.gravity))).sum())

@@ -81,9 +81,19 @@ def microseconds(action: Callable[[], object], least: float = 0.02, blocks: int 
 def step_microseconds(simulation: Simulation, count: int = 32) -> float:
     """A step of `run_steps` as the simulation calls it, on copies of its state [us]."""
     s = simulation
-    x, v = s._x.copy(), s._v.copy()
+    x, v = s.motion.x.copy(), s.motion.v.copy()
     run = lambda: run_steps(  # noqa: E731
-        x, v, s._work, s._moved, s._terms, s._contact_settings, s._contacts, s.time_step, count, 0.0, 0.0
+        x,
+        v,
+        s.motion.work,
+        s.motion.moved,
+        s.motion.terms,
+        s.motion.contact_settings,
+        s.motion.contacts,
+        s.time_step,
+        count,
+        0.0,
+        0.0,
     )
     return microseconds(run) / count
 
@@ -125,7 +135,7 @@ def growth(n: int) -> dict[str, Any]:
         "particles": n * n,
         "step_us": step_microseconds(simulation, 8),
         "stable_step_us": microseconds(
-            lambda: simulation.model.stable_step(simulation._x, 0.0, simulation.stable.mode, 1e-2), blocks=3
+            lambda: simulation.model.stable_step(simulation.motion.x, 0.0, simulation.stable.mode, 1e-2), blocks=3
         ),
         "build_s": built,
         "time_step": simulation.time_step,
@@ -142,8 +152,8 @@ def profile() -> dict[str, Any]:
 
 def kernels(simulation: Simulation) -> dict[str, float]:
     """Microseconds of each kernel on copies of the present state."""
-    s, t, w = simulation, simulation._terms, simulation._work
-    x, v, limit, dt = s._x.copy(), s._v.copy(), s._terms.strain_limit, s.time_step
+    s, t, w = simulation, simulation.motion.terms, simulation.motion.work
+    x, v, limit, dt = s.motion.x.copy(), s.motion.v.copy(), s.motion.terms.strain_limit, s.time_step
     total_force(x, v, t, 0.0, w)
     result = {
         "springs": microseconds(lambda: spring_forces(w.x, w.v, t.springs, t.spring_damping_time, w.force)),
@@ -156,18 +166,20 @@ def kernels(simulation: Simulation) -> dict[str, float]:
         "Euler": microseconds(lambda: semi_implicit_euler(w.x, w.v, w.force, 0.0 * t.inverse_mass, dt)),
         "strain limit": microseconds(lambda: hold_strain(x, v, t.inverse_mass, t.spring_pairs, limit, dt)),
     }
-    if not s._contact_settings.active:  # where there is contact it returns early on a copy whose way is used up
+    if not s.motion.contact_settings.active:  # where there is contact it returns early on a copy whose way is used up
         result = {"step": step_microseconds(s), **result}
     else:
-        by_axis(s._x, w.x)  # Euler's steps have carried them away
-        by_axis(s._v, w.v)
+        by_axis(s.motion.x, w.x)  # Euler's steps have carried them away
+        by_axis(s.motion.v, w.v)
         result["contact response"] = microseconds(
-            lambda: resolve_contacts(w.x, w.v, t.inverse_mass, s._contacts, s._contact_settings, dt, s._moved)
+            lambda: resolve_contacts(
+                w.x, w.v, t.inverse_mass, s.motion.contacts, s.motion.contact_settings, dt, s.motion.moved
+            )
         )
-        result["travel bound"] = microseconds(lambda: keep_within_travel(w.x, w.v, s._contacts, s._moved))
+        result["travel bound"] = microseconds(lambda: keep_within_travel(w.x, w.v, s.motion.contacts, s.motion.moved))
         assert s.model.contact is not None
         contact = s.model.contact
-        result["contact search (not each step)"] = microseconds(lambda: contact.search(s._x, 0.006), blocks=3)
+        result["contact search (not each step)"] = microseconds(lambda: contact.search(s.motion.x, 0.006), blocks=3)
     return result
 
 

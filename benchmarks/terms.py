@@ -62,7 +62,12 @@ def hung_sheet(without: tuple[str, ...] = (), air_drag: float = 1.0) -> Simulati
 def step_cost(simulation: Simulation, term: str = "step") -> float:
     """Microseconds that one step, or one term of it, takes on the present state; best of some measurements."""
     s = simulation
-    return min(term_costs(s._x, s._v, s._terms, s._contact_settings, s._contacts, s.time_step)[term] for _ in range(5))
+    return min(
+        term_costs(s.motion.x, s.motion.v, s.motion.terms, s.motion.contact_settings, s.motion.contacts, s.time_step)[
+            term
+        ]
+        for _ in range(5)
+    )
 
 
 def self_contact() -> str:
@@ -127,8 +132,8 @@ def searched_each_step(simulation: Simulation, duration: float) -> None:
     end = simulation.time + duration
     while simulation.time < end - 1e-12:
         simulation.model.contact.forget()
-        simulation._search_contacts()
-        simulation._run(1, last_time=end)
+        simulation.motion.search_contacts()
+        simulation.motion.run(1, last_time=end)
 
 
 def air() -> str:
@@ -144,7 +149,7 @@ def rest() -> str:
     last: list[tuple[float, np.ndarray]] = []
 
     def look(s: Simulation) -> None:
-        if s._coarse is not None:
+        if s.drapes_coarsely:
             return
         x = s.positions
         if last and s.time - last[-1][0] < 0.05:
@@ -155,7 +160,7 @@ def rest() -> str:
 
     assert simulation.settle(look).settled
     awake = cpu(lambda: simulation.advance(0.5)) / 0.5
-    while not simulation._asleep and simulation.time < 60.0:
+    while not simulation.asleep and simulation.time < 60.0:
         simulation.advance(0.5)
     asleep = cpu(lambda: simulation.advance(1000.0))
     return (
@@ -168,11 +173,12 @@ def rest() -> str:
 def seams() -> str:
     """Before and after merging."""
     simulation = Simulation(tshirt())
-    particles, whole, pull = len(simulation._x), step_cost(simulation), step_cost(simulation, "seams")
+    particles, whole, pull = len(simulation.motion.x), step_cost(simulation), step_cost(simulation, "seams")
     while simulation.phase == "sewing":
         simulation.tick()
+    merged = simulation.model.particle_count
     return (
-        f"T-shirt at {1000 * SPACING:g} mm: {particles} particles become {len(simulation._x)}, and the pull of the "
+        f"T-shirt at {1000 * SPACING:g} mm: {particles} particles become {merged}, and the pull of the "
         f"seams, {pull:.1f} of {whole:.0f} us of a step, is gone"
     )
 
@@ -202,7 +208,7 @@ def body_tree() -> str:
 
 def search_cost(simulation: Simulation, contact: Contact) -> float:
     """Milliseconds of a broad phase at the present state, best of five."""
-    x = simulation._x
+    x = simulation.motion.x
     reach = np.full(len(x), 0.001)
 
     def search() -> None:

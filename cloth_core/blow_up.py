@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from cloth_core.errors import SimulationError
 from cloth_core.model import Model
+from cloth_core.motion import Motion
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
 
-__all__ = ["BlowUp", "measure_blow_up"]
+__all__ = ["BlowUp", "FixedStepMotion", "measure_blow_up"]
 
 Floats = NDArray[np.float64]
 
@@ -48,34 +49,26 @@ class BlowUp:
         return self.predicted / self.measured
 
 
-class _FixedStep(Simulation):
-    """A simulation whose time step is what the experiment says, stable or not."""
+class FixedStepMotion(Motion):
+    """A motion whose time step is what an experiment says, stable or not.
 
-    def __init__(self, scene: Scene, change: Callable[[Model], None] | None) -> None:
-        self.fixed_step: float | None = None
-        self._change = change
-        super().__init__(scene)
+    Attributes:
+        fixed_step: [s]; None: as usual.
+    """
 
-    def _use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats, softness: float = 1.0) -> None:
-        if self._change is not None:
-            self._change(model)
-        if self.scene.body is None:
-            model.contact = None  # contact of cloth with cloth holds back what blows up, and hides it
-        super()._use(model, unsewn_x, unsewn_v, softness)
+    fixed_step: float | None = None
 
-    def _refuse_to_go_on(self) -> None:
-        """A trial that blew up is followed by the next one, from the start again."""
-
-    def _search_contacts(self) -> None:
-        super()._search_contacts()
+    def search_contacts(self) -> None:
+        """As for any motion, without renewals."""
+        super().search_contacts()
         # Particles that are stopped at the end of their way again and again hold back what blows up as well.
-        renewal = self._contacts.renewal._replace(allowed=False)
-        self._contacts = self._contacts._replace(renewal=renewal)
+        self.contacts = self.contacts._replace(renewal=self.contacts.renewal._replace(allowed=False))
 
-    def _refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
-        super()._refresh_time_step(estimate and self.fixed_step is None, tolerance)
+    def refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
+        """As for any motion, but for the time step."""
+        super().refresh_time_step(estimate and self.fixed_step is None, tolerance)
         if self.fixed_step is not None:
-            self._dt = self.fixed_step
+            self.time_step = self.fixed_step
 
 
 def measure_blow_up(
@@ -94,43 +87,42 @@ def measure_blow_up(
     Args:
         scene: what is tried.
         change: alters the assembled model before it is used, for example its masses.
-        rest_first: time for which the scene runs with half the predicted step before the trials [s].
+        rest_first: time for which the scene runs as usual before the trials [s].
         steps: of each trial; fewer make the measured limit come out a little too long.
 
     Returns:
         prediction (from the state in which the trials start) and measurement.
     """
-    simulation = _FixedStep(scene, change)
-    if rest_first > 0.0:
-        simulation.fixed_step = 0.5 * min(simulation.stable.time_step, 1.0 / 480.0)
-        simulation._refresh_time_step()
-        simulation.advance(rest_first)
-        simulation._v[:] = 0.0
-    model = simulation.model
-    drag = simulation._air_drag()
-    predicted = model.stable_step(simulation._x, drag)
+    motion = FixedStepMotion(scene)
+    model, start = _state(scene, rest_first)
+    if change is not None:
+        change(model)
+    if scene.body is None:
+        model.contact = None  # contact of cloth with cloth holds back what blows up, and hides it
+    motion.use(model, start, np.zeros_like(start))
+    predicted = model.stable_step(motion.x, motion.air_drag)
     if not math.isfinite(predicted.time_step):
         raise SimulationError("blow-up: nothing stiff and nothing that drags can move; take a scene with a limit")
-    origin = simulation._x.copy()
+    origin = motion.x.copy()
     shortest = _shortest(model, scene)
     limit = (_BLOWN_UP_IN_CONTACT if model.contact is not None or rest_first > 0.0 else _BLOWN_UP) * shortest
     noise = _noise(model, predicted.mode, _NOISE * shortest)
 
     def blows_up(dt: float) -> bool:
-        simulation._x[:] = origin + noise
-        simulation._v[:] = 0.0
-        simulation.fixed_step = dt
-        simulation._refresh_time_step()
+        motion.x[:] = origin + noise
+        motion.v[:] = 0.0
+        motion.fixed_step = dt
+        motion.refresh_time_step()
         if model.contact is not None:
-            simulation._search_contacts()
-        done = simulation.steps
+            motion.search_contacts()
+        done = motion.steps
         try:
-            while simulation.steps < done + steps:
-                simulation.tick()
-                if not float(np.abs(simulation._x - origin).max()) < limit:
+            while motion.steps < done + steps:
+                motion.run(motion.tick_steps)
+                if not float(np.abs(motion.x - origin).max()) < limit:
                     return True
         except SimulationError:
-            simulation._x, simulation._v = origin.copy(), np.zeros_like(origin)
+            motion.x, motion.v = origin.copy(), np.zeros_like(origin)
             return True
         return False
 
@@ -139,6 +131,15 @@ def measure_blow_up(
         middle = math.sqrt(low * high)
         low, high = (low, middle) if blows_up(middle) else (middle, high)
     return BlowUp(predicted.time_step, high, predicted.damping_ratio, model.particle_count)
+
+
+def _state(scene: Scene, run_first: float) -> tuple[Model, Floats]:
+    """The model, and positions in the unsewn numbering (n, 3) [m], after the scene has run for a time [s]."""
+    if run_first == 0.0:
+        return Model(scene, sewing=bool(scene.garment.seams)), scene.garment.start
+    simulation = Simulation(scene)
+    simulation.advance(run_first)
+    return simulation.model, simulation.positions
 
 
 def _bracket(blows_up: Callable[[float], bool], guess: float) -> tuple[float, float]:

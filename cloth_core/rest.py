@@ -44,12 +44,12 @@ class RestWatch:
     Attributes:
         movement: farthest way of any particle in the last window [m]; None before the first one has ended.
         farthest: the particle that went so far.
-        window: as given.
+        displacement, window: as given.
         ratio: of the last two such ways; None before.
     """
 
     def __init__(self, displacement: float, window: float, slowest: float, drag: float = 0.0) -> None:
-        self._displacement, self.window, self._slowest, self._drag = displacement, window, slowest, drag
+        self.displacement, self.window, self._slowest, self._drag = displacement, window, slowest, drag
         self._times: list[float] = []
         self._positions: list[Floats] = []
         self.movement: float | None = None
@@ -80,7 +80,7 @@ class RestWatch:
         before, now = (x1 - x0) / (t1 - t0), (x2 - x1) / (t2 - t1)
         acceleration = (now - before) / ((t2 - t0) / 2.0) + self._drag * now
         highest_speed = np.sqrt((now**2).sum(axis=1) + (acceleration**2).sum(axis=1) / self._slowest**2)
-        return float(highest_speed.max()) * self.window <= self._displacement
+        return float(highest_speed.max()) * self.window <= self.displacement
 
 
 class StallWatch:

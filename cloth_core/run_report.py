@@ -11,16 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import ContactSettings, ContactState
 from cloth_core.intersections import crossing_edges, self_crossing_edges
-from cloth_core.model import Model
+from cloth_core.motion import Motion
 from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
-from cloth_core.scene import Scene
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
-from cloth_core.stability import StableStep
-from cloth_core.step import ForceTerms
 from cloth_core.switched_off import missed_effects
 from cloth_core.term_cost import term_costs
 from cloth_core.term_shares import term_shares
@@ -35,41 +31,29 @@ class RunState:
     """What there is to measure of a run.
 
     Attributes:
-        scene, model: what is simulated, and its terms at present.
-        x, v: of the sewn particles, (k, 3) [m, m/s]; positions: in the unsewn numbering, (n, 3) [m].
-        forces, contact_settings, contacts: of the last step.
-        time_step: in use [s]; stable: the estimate of the largest one.
-        phase: of the run; simulated_time: [s].
+        motion: of the model's particles.
+        positions: in the unsewn numbering, (n, 3) [m].
+        phase: of the run.
     """
 
-    scene: Scene
-    model: Model
-    x: Floats
-    v: Floats
+    motion: Motion
     positions: Floats
-    forces: ForceTerms
-    contact_settings: ContactSettings
-    contacts: ContactState
-    time_step: float
-    stable: StableStep
     phase: str
-    simulated_time: float
 
 
 def report_of(
     state: RunState,
     *,
-    steps: int,
     wall_time: float,
     settled: bool,
     rest_reason: str,
     open_seams: Sequence[str],
-    contact_searches: int,
     time_not_stepped: float,
     warnings: Iterable[str],
 ) -> Report:
     """The report on a run in that state (`Report` says what the numbers are); exact triangle tests included."""
-    scene, model, x = state.scene, state.model, state.x
+    motion = state.motion
+    scene, model, x = motion.scene, motion.model, motion.x
     strain = spring_strains(x, model.springs)
     structural = strain[model.springs.family == SpringFamily.STRUCTURAL]
     shear = strain[model.springs.family == SpringFamily.SHEAR]
@@ -96,10 +80,10 @@ def report_of(
         triangles=len(model.triangles),
         springs=len(model.springs),
         terms=_term_facts(state, missed),
-        time_step=state.time_step,
-        stable_time_step=state.stable.time_step,
-        steps=steps,
-        simulated_time=state.simulated_time,
+        time_step=motion.time_step,
+        stable_time_step=motion.stable.time_step,
+        steps=motion.steps,
+        simulated_time=motion.time,
         wall_time=wall_time,
         settled=settled,
         rest_reason=rest_reason,
@@ -112,18 +96,19 @@ def report_of(
         body_intersections=crossings,
         self_intersections=len(self_crossing_edges(x, model.triangles)),
         max_penetration=penetration,
-        contact_searches=contact_searches,
+        contact_searches=motion.searches,
         expected_error=scene.settings.expected_error,
         expected_error_source=scene.settings.expected_error_source,
         warnings=tuple(dict.fromkeys(lines)),
-        state_sha256=hash_of(state.x, state.v),
+        state_sha256=hash_of(motion.x, motion.v),
         time_not_stepped=time_not_stepped,
     )
 
 
 def description_of(state: RunState) -> dict[str, Any]:
     """Terms with reasons and measured shares, counts and the stable time step, as JSON types."""
-    scene, model, stable = state.scene, state.model, state.stable
+    motion = state.motion
+    scene, model, stable = motion.scene, motion.model, motion.stable
     missed = _missed(state)
     return {
         "garment": scene.garment.name,
@@ -140,12 +125,12 @@ def description_of(state: RunState) -> dict[str, Any]:
         "area": float(scene.garment.areas.sum()),
         "mass": float(model.mass.sum()),
         "terms": _term_facts(state, missed),
-        "time_step": state.time_step,
+        "time_step": motion.time_step,
         "stable_time_step": stable.time_step if math.isfinite(stable.time_step) else None,
         "largest_frequency": stable.largest_frequency,
         "damping_ratio": stable.damping_ratio if math.isfinite(stable.damping_ratio) else None,
         "phase": state.phase,
-        "simulated_time": state.simulated_time,
+        "simulated_time": motion.time,
         "warnings": [*scene.warnings, *missed.values()],
     }
 
@@ -157,15 +142,17 @@ def hash_of(x: Floats, v: Floats) -> str:
 
 
 def _missed(state: RunState) -> dict[str, str]:
-    return missed_effects(state.scene, state.model, state.x, state.v, state.positions)
+    motion = state.motion
+    return missed_effects(motion.scene, motion.model, motion.x, motion.v, state.positions)
 
 
 def _term_facts(state: RunState, missed: dict[str, str]) -> dict[str, dict[str, Any]]:
     """Each term with why it is on or off, and what it takes at the present state."""
-    costs = term_costs(state.x, state.v, state.forces, state.contact_settings, state.contacts, state.time_step)
-    shares = term_shares(state.model.terms, costs)
-    cloth = state.model.contact.cloth if state.model.contact is not None else None
-    reasons = {t.name: t.reason for t in state.model.terms}
+    m = state.motion
+    costs = term_costs(m.x, m.v, m.terms, m.contact_settings, m.contacts, m.time_step)
+    shares = term_shares(m.model.terms, costs)
+    cloth = m.model.contact.cloth if m.model.contact is not None else None
+    reasons = {t.name: t.reason for t in m.model.terms}
     if cloth is not None and cloth.smooth is not None:
         smooth = int((cloth.smooth.room_of_triangles() > 0.0).sum())
         reasons["self contact"] += f"; {smooth} triangles are too smooth now to touch what is around them"
@@ -177,5 +164,5 @@ def _term_facts(state: RunState, missed: dict[str, str]) -> dict[str, dict[str, 
             **shares[t.name],
             "missed": missed.get(t.name),
         }
-        for t in state.model.terms
+        for t in m.model.terms
     }

@@ -157,9 +157,9 @@ def sides_through(va: Floats, ta: NDArray[np.int32], vb: Floats, tb: NDArray[np.
 
 def throw(simulation: Simulation, velocity: ArrayLike) -> None:
     """Give the particles a velocity [m/s], one for all or (k, 3)."""
-    simulation._v[:] = velocity
+    simulation.motion.v[:] = velocity
     if simulation.model.contact is not None:
-        simulation._search_contacts()  # how far it looks depends on the speed
+        simulation.motion.search_contacts()  # how far it looks depends on the speed
 
 
 # ---- bare steps, without a Simulation

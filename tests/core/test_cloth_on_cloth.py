@@ -88,7 +88,7 @@ def test_thrown_sheets_do_not_pass_through_each_other(speed, direction, spacing,
     momenta, energies = [], []
     for simulation in thrown(speed, direction, spacing, fabric):
         assert panel_crossings(simulation) == 0
-        mass, v = simulation.model.mass, simulation._v
+        mass, v = simulation.model.mass, simulation.motion.v
         momenta.append(mass @ v)
         energies.append(float(mass @ (v**2).sum(axis=1)) / 2)
     # Nothing but the two acts, and there is no friction.
@@ -108,7 +108,7 @@ def test_thrown_sheets_do_not_pass_through_each_other(speed, direction, spacing,
 def test_plastic_impact_of_equal_sheets_leaves_half_of_the_energy(speed):
     # Two lattices of the same shape, one straight upon the other: every particle meets its like.
     *_, simulation = thrown(speed, "straight", 0.05, LOOSE | {"area_density": 2.0}, upper=0.2)
-    mass, v = simulation.model.mass, simulation._v
+    mass, v = simulation.model.mass, simulation.motion.v
     assert (mass @ (v**2).sum(axis=1)) / 2 == pytest.approx(0.5 * mass[25:].sum() * speed**2 / 2, rel=0.15)
     assert (mass @ v)[2] == pytest.approx(-mass[25:].sum() * speed, rel=1e-12)
 
@@ -127,7 +127,7 @@ def test_sheets_in_turmoil_between_each_other_never_cross():
         simulation.tick()
         assert len(self_crossing_edges(*simulation.sewn_mesh())) == 0
         assert panel_crossings(simulation) == 0
-    spread = np.abs(simulation._v - simulation._v.mean(axis=0)).mean()
+    spread = np.abs(simulation.motion.v - simulation.motion.v.mean(axis=0)).mean()
     assert spread < 3.0  # they have met
 
 
@@ -226,7 +226,7 @@ def test_strip_that_falls_onto_itself_never_crosses_itself(fabric):
         x, triangles = simulation.sewn_mesh()
         assert len(self_crossing_edges(x, triangles)) == 0
         assert crossings(x, triangles, PLATE) == 0
-        pairs = simulation._contacts.pairs
+        pairs = simulation.motion.contacts.pairs
         own = pairs.listed[: pairs.listed_count[0]]
         own = own[(pairs.body[own] < 0).all(axis=1)]
         nearest = min(nearest, float(pairs.gap[own[pairs.impulse[own] > 0]].min(initial=math.inf)))

@@ -99,7 +99,7 @@ def test_impact_takes_the_approaching_velocity_and_nothing_else(speed):
     for across in (0.0, 0.5):
         velocity = speed * np.array([across, 0.0, -1.0])
         *_, simulation = flight(placed(sheet(0.2, 0.2, 0.1), move=[0, 0, 0.02]), quad(400.0), velocity, 0.5)
-        np.testing.assert_allclose(simulation._v, np.tile([across * speed, 0.0, 0.0], (9, 1)), atol=1e-6 * speed)
+        np.testing.assert_allclose(simulation.motion.v, np.tile([across * speed, 0.0, 0.0], (9, 1)), atol=1e-6 * speed)
         z = simulation.positions[:, 2]
         assert (z >= OFFSET * (1 - 1e-6)).all()
         assert (z <= OFFSET + 0.001).all()
@@ -190,7 +190,7 @@ def test_contact_never_pulls_back_what_leaves(name, friction):
     free = flight(garment, None, velocity, 0.02, time_step=1e-4)
     for with_body, alone in zip(touching, free, strict=True):
         np.testing.assert_allclose(with_body.positions, alone.positions, atol=1e-9)
-        np.testing.assert_allclose(with_body._v, alone._v, atol=1e-9)
+        np.testing.assert_allclose(with_body.motion.v, alone.motion.v, atol=1e-9)
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.2, 0.7])
@@ -200,7 +200,7 @@ def test_too_near_is_pushed_out_and_never_held_back(speed):
     garment = placed(sheet(0.2, 0.2, 0.1), move=[0, 0, height])
     for simulation in flight(garment, quad(), np.array([0.0, 0.0, speed]), 0.1, time_step=1e-4):
         z = simulation.positions[:, 2]
-        np.testing.assert_allclose(simulation._v[:, 2], speed, atol=1e-6)  # it is not thrown
+        np.testing.assert_allclose(simulation.motion.v[:, 2], speed, atol=1e-6)  # it is not thrown
         # Springs between what was pushed farther and what less move particles against each other, but not all of them.
         way = speed * simulation.time_step
         assert (z - previous >= way * (1 - 1e-8)).all()
@@ -221,7 +221,7 @@ def test_contact_never_adds_energy(name, spacing, friction):
     velocity = np.array([0.3, -0.2, -3.0]) + 0.3 * rng.standard_normal((garment.particle_count, 3))
     energies = []
     for simulation in flight(garment, BODIES[name], velocity, 0.2, friction=friction):
-        energies.append(float((simulation.model.mass[:, None] * simulation._v**2).sum() / 2))
+        energies.append(float((simulation.model.mass[:, None] * simulation.motion.v**2).sum() / 2))
     first, last = energies[0], energies[-1]
     assert (np.diff(energies) <= 1e-6 * np.array(energies[:-1]) + 1e-8 * first).all()  # no more than rounding
     assert last < 0.99 * first  # there was an impact
@@ -276,7 +276,7 @@ def test_sheet_on_a_level_plane_rests_exactly_and_weighs_what_it_weighs():
     simulation.advance(1.0)
     np.testing.assert_allclose(simulation.positions[:, 2], OFFSET, atol=1e-6)
     np.testing.assert_allclose(simulation.positions[:, :2], scene.garment.start[:, :2], atol=1e-6)
-    assert np.abs(simulation._v).max() < 1e-9
+    assert np.abs(simulation.motion.v).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", ["ball", "ridge"])

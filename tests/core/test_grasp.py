@@ -147,7 +147,7 @@ def test_two_grippers_do_not_tear_the_cloth():
     simulation.advance(1.0)
     assert all(gripper["blocked"] for gripper in simulation.grasps.describe().values())
     assert simulation.report().max_strain < 0.1
-    assert simulation._largest_speed() < 5.0
+    assert simulation.progress.largest_speed < 5.0
 
 
 def test_a_gripper_holds_cloth_whose_strain_limit_is_switched_off():

@@ -47,7 +47,7 @@ def _corners(garment: Any) -> NDArray[np.int32]:
 
 def _energy(simulation: Simulation) -> float:
     """Of motion, height, springs and bending [J]."""
-    model, x, v = simulation.model, simulation._x, simulation._v
+    model, x, v = simulation.model, simulation.motion.x, simulation.motion.v
     springs = model.springs
     length = np.linalg.norm(x[springs.pairs[:, 0]] - x[springs.pairs[:, 1]], axis=1)
     stretched = 0.5 * float((springs.stiffness * (length - springs.rest_length) ** 2).sum())
@@ -76,11 +76,11 @@ def test_first_step_is_implicit_eulers_closed_form(cycles: float) -> None:
     """x'' = -w^2 x: x1 = x0 / (1 + w^2 dt^2) from rest."""
     simulation, w = _oscillator(cycles)
     free = simulation.model.inverse_mass > 0.0
-    before = simulation._x.copy()
-    simulation._x[free, 0] += 1e-3
-    simulation._run(1)
-    np.testing.assert_allclose((simulation._x - before)[free, 0], 1e-3 / (1.0 + cycles**2), rtol=1e-6)
-    amplitude = np.hypot((simulation._x - before)[free, 0], simulation._v[free, 0] / w)
+    before = simulation.motion.x.copy()
+    simulation.motion.x[free, 0] += 1e-3
+    simulation.motion.run(1)
+    np.testing.assert_allclose((simulation.motion.x - before)[free, 0], 1e-3 / (1.0 + cycles**2), rtol=1e-6)
+    amplitude = np.hypot((simulation.motion.x - before)[free, 0], simulation.motion.v[free, 0] / w)
     np.testing.assert_allclose(amplitude, 1e-3 / math.sqrt(1.0 + cycles**2), rtol=1e-6)
 
 
@@ -89,8 +89,8 @@ def test_swing_is_damped_like_the_second_order_difference(cycles: float) -> None
     """y' = l y, l = i w: (3/2 - z) r^2 - 2 r + 1/2 = 0 for the factor r of a step, z = l dt."""
     simulation, w = _oscillator(cycles)
     free = simulation.model.inverse_mass > 0.0
-    before = simulation._x.copy()
-    simulation._x[free, 0] += 1e-3
+    before = simulation.motion.x.copy()
+    simulation.motion.x[free, 0] += 1e-3
 
     # The same scheme on one complex number y = x + i v / w, for which y' = -i w y.
     z = -1j * cycles
@@ -99,8 +99,8 @@ def test_swing_is_damped_like_the_second_order_difference(cycles: float) -> None
         expected.append((2.0 * expected[-1] - 0.5 * expected[-2]) / (1.5 - z))
     seen = []
     for _ in range(21):
-        simulation._run(1)
-        seen.append((simulation._x - before)[free, 0][0] + 1j * simulation._v[free, 0][0] / w)
+        simulation.motion.run(1)
+        seen.append((simulation.motion.x - before)[free, 0][0] + 1j * simulation.motion.v[free, 0][0] / w)
     np.testing.assert_allclose(seen, expected[1:], atol=2e-9)
     principal = (2.0 + np.sqrt(1.0 + 2.0 * z)) / (3.0 - 2.0 * z)
     if cycles < 1.0:  # then the other root has died away
@@ -111,11 +111,11 @@ def test_matrix_is_the_derivative_of_the_forces() -> None:
     """M + h D + h^2 K by central differences of the forces, where no spring is compressed."""
     fabric = {"damping_time": 1e-3, "bending_damping_time": 2e-3, "bending": 1e-2}
     simulation = Simulation(_scene(fabric=fabric, air_drag=2.0, pins=_corners(sheet(0.5, 0.5, 0.1))))
-    model, terms, h = simulation.model, simulation._terms, 0.01
-    x, n = 1.05 * simulation._x, len(simulation._x)
+    model, terms, h = simulation.model, simulation.motion.terms, 0.01
+    x, n = 1.05 * simulation.motion.x, len(simulation.motion.x)
     x[:, 2] = 0.1 * np.sin(7.0 * x[:, 0])
-    assert simulation._implicit is not None
-    matrix = simulation._implicit.matrix
+    assert simulation.motion.implicit is not None
+    matrix = simulation.motion.implicit.matrix
     assemble(matrix, x, terms, h)
     factors = matrix.factors
     found = np.zeros((n, 3, n, 3))
@@ -153,13 +153,13 @@ def test_matrix_is_the_derivative_of_the_forces() -> None:
 def test_free_flight_keeps_momentum_and_shape() -> None:
     simulation = Simulation(_scene())
     throw(simulation, (0.4, -0.3, 2.0))
-    simulation._x[:, 0] *= 1.02  # and it rings
-    start, momentum = simulation._x.copy(), simulation.model.mass @ simulation._v
+    simulation.motion.x[:, 0] *= 1.02  # and it rings
+    start, momentum = simulation.motion.x.copy(), simulation.model.mass @ simulation.motion.v
     simulation.advance(0.5)
     mass = simulation.model.mass
     expected = momentum - np.array([0.0, 0.0, GRAVITY * 0.5 * mass.sum()])
-    np.testing.assert_allclose(mass @ simulation._v, expected, atol=1e-6 * np.abs(expected).max())
-    middle = (mass @ simulation._x - mass @ start) / mass.sum()
+    np.testing.assert_allclose(mass @ simulation.motion.v, expected, atol=1e-6 * np.abs(expected).max())
+    middle = (mass @ simulation.motion.x - mass @ start) / mass.sum()
     # Both formulas are exact for a constant force but for the first step, of first order: g dt^2 / 2 too low.
     np.testing.assert_allclose(middle[:2], [0.2, -0.15], atol=1e-6)
     assert middle[2] == pytest.approx(2.0 * 0.5 - GRAVITY * 0.125, abs=GRAVITY * DT**2)
@@ -168,7 +168,9 @@ def test_free_flight_keeps_momentum_and_shape() -> None:
 def test_terminal_speed_in_air() -> None:
     simulation = Simulation(_scene(air_drag=8.0, time_step=0.1))
     simulation.advance(5.0)
-    np.testing.assert_allclose(simulation._v, np.broadcast_to([0, 0, -GRAVITY / 8.0], simulation._v.shape), atol=1e-9)
+    np.testing.assert_allclose(
+        simulation.motion.v, np.broadcast_to([0, 0, -GRAVITY / 8.0], simulation.motion.v.shape), atol=1e-9
+    )
 
 
 def test_second_order_halves_of_a_step_quarter_the_error() -> None:
@@ -225,7 +227,7 @@ def test_hanging_chain_of_sheets_stretches_by_its_weight() -> None:
         model.springs.stiffness[(model.springs.pairs == np.sort([i, j])).all(axis=1)][0] for i, j in pairwise(column)
     ]
     expected = sum(weights[k + 1 :].sum() / link[k] for k in range(len(link)))
-    extension = x[column[-1], 2] - simulation._x[column[-1], 2]
+    extension = x[column[-1], 2] - simulation.motion.x[column[-1], 2]
     assert extension == pytest.approx(expected, rel=1e-6)
 
 
@@ -240,7 +242,7 @@ def test_stiff_sheet_stays_bounded_with_steps_of_a_sixtieth_of_a_second(stiffnes
     for _ in range(30):
         simulation.advance(DT)
         # Falling gives at most the weight times the height; no step adds to what there was at the start.
-        assert np.isfinite(simulation._x).all()
+        assert np.isfinite(simulation.motion.x).all()
         assert _energy(simulation) < start + 0.02 * height
     simulation.advance(1.5)
     assert _energy(simulation) < start  # what rings is damped, without any damping in the fabric or air
@@ -323,9 +325,9 @@ def test_step_of_a_second_is_finite() -> None:
     garment = sheet(0.5, 0.5, 0.1)
     simulation = Simulation(_scene(garment, pins=_corners(garment), time_step=1.0))
     simulation.advance(60.0)
-    assert np.isfinite(simulation._x).all()
+    assert np.isfinite(simulation.motion.x).all()
     # So long steps damp every swing: it hangs.
-    assert simulation._largest_speed() < 1e-2
+    assert simulation.progress.largest_speed < 1e-2
 
 
 def test_stiff_sheet_comes_to_rest_on_a_ball_with_friction() -> None:

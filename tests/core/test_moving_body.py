@@ -37,7 +37,7 @@ def test_a_plate_drags_a_sheet_along_by_friction(speed):
     start = simulation.positions
     simulation.move_body(simulation.scene.body.vertices + np.array([speed * duration, 0, 0]), duration)
     simulation.advance(0.9 * duration)
-    assert simulation._v[:, 0] == pytest.approx(speed, rel=1e-6)
+    assert simulation.motion.v[:, 0] == pytest.approx(speed, rel=1e-6)
     behind = speed * simulation.time - (simulation.positions - start)[:, 0]
     assert behind.mean() == pytest.approx(speed**2 / (2 * friction * GRAVITY), rel=0.02)
 
@@ -54,7 +54,7 @@ def test_a_plate_lifts_a_sheet():
     simulation = on(plate(), sheet(0.12, 0.12, 0.04, z=OFFSET))
     simulation.move_body(simulation.scene.body.vertices + np.array([0, 0, 0.2]), 0.4)
     simulation.advance(0.2)
-    assert simulation._v[:, 2] == pytest.approx(0.5, abs=1.01 * GRAVITY * simulation.time_step)
+    assert simulation.motion.v[:, 2] == pytest.approx(0.5, abs=1.01 * GRAVITY * simulation.time_step)
     simulation.settle()
     assert not simulation.body_moves
     assert simulation.positions[:, 2] == pytest.approx(0.2 + OFFSET, abs=1e-4)

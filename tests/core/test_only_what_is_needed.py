@@ -25,7 +25,7 @@ def two_sheets(gap: float) -> Garment:
 
 def listed(simulation: Simulation) -> int:
     """Pairs that can come into contact before the next search."""
-    return int(simulation._contacts.pairs.listed_count[0])
+    return int(simulation.motion.contacts.pairs.listed_count[0])
 
 
 def through_each_other(simulation: Simulation) -> int:
@@ -69,11 +69,11 @@ def test_drag_of_a_run_to_rest_comes_and_goes_in_a_scene_without_air():
     garment = sheet(0.2, 0.2, 0.05)
     scene = Scene(garment=garment, fabric=POPLIN, air_drag=0.0, pins=[0, 4])
     simulation = Simulation(scene)
-    assert simulation._terms.air_drag == 0.0
+    assert simulation.motion.terms.air_drag == 0.0
     drags = []
-    simulation.settle(lambda s: drags.append(s._terms.air_drag))
+    simulation.settle(lambda s: drags.append(s.motion.terms.air_drag))
     assert set(drags) == {scene.settings.settle_drag}
-    assert simulation._terms.air_drag == 0.0
+    assert simulation.motion.terms.air_drag == 0.0
     # Motion after it is free of air again: what is let go falls as a stone does.
     free = Simulation(replace(scene, pins=np.zeros(0, dtype=np.int32)))
     free.settle()
@@ -88,17 +88,17 @@ def test_garment_that_is_sewn_has_no_pull_left_and_no_doubled_particles():
     scene = Scene.build(pattern(panels, [(("left", 1), ("right", 3))]), settings=Settings(spacing=0.05))
     simulation = Simulation(scene)
     open_count = simulation.model.particle_count
-    assert len(simulation._terms.seam.pairs) > 0
+    assert len(simulation.motion.terms.seam.pairs) > 0
     while simulation.phase == "sewing":
         simulation.tick()
     assert simulation.model.seam_pull is None
-    assert len(simulation._terms.seam.pairs) == 0
+    assert len(simulation.motion.terms.seam.pairs) == 0
     assert simulation.model.particle_count == open_count - len(scene.garment.seams[0].first)
     # To the bit what a sheet of one piece does that has these particles: the seam is not there any more.
     assert not simulation.model.sewing
     assert simulation.model.terms[[t.name for t in simulation.model.terms].index("sewing smoothness")].active is False
     simulation.reset()
-    assert len(simulation._terms.seam.pairs) > 0
+    assert len(simulation.motion.terms.seam.pairs) > 0
 
 
 BALL = body_of(trimesh.creation.icosphere(2, radius=0.1))
@@ -120,7 +120,7 @@ def test_body_out_of_reach_lists_no_pair_and_changes_no_bit():
         far = body.vertices[body.triangles].mean(axis=1)[:, 2] < -1.0
         for _ in range(60):
             simulation.tick()
-            assert not far[simulation._contacts.planes.body_triangle].any()
+            assert not far[simulation.motion.contacts.planes.body_triangle].any()
         runs.append(simulation)
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
     assert len(runs[0]._contacts.planes.body_triangle) > 0
@@ -131,10 +131,10 @@ def test_body_that_was_out_of_reach_is_met_when_cloth_comes_there():
     far = body.vertices[body.triangles].mean(axis=1)[:, 2] < -0.3
     start = placed(sheet(0.2, 0.2, 0.05), move=[0.0, 0.0, -0.2])  # below the upper ball, above the lower one
     simulation = Simulation(Scene(garment=start, body=body, fabric=POPLIN))
-    assert len(simulation._contacts.planes.body_triangle) == 0
+    assert len(simulation.motion.contacts.planes.body_triangle) == 0
     assert simulation.settle().settled
-    assert far[simulation._contacts.planes.body_triangle].all()
-    assert len(simulation._contacts.planes.body_triangle) > 0
+    assert far[simulation.motion.contacts.planes.body_triangle].all()
+    assert len(simulation.motion.contacts.planes.body_triangle) > 0
     x = simulation.positions
     assert crossings(x, simulation.triangles, body) == 0
     assert -0.52 < x[:, 2].max() < -0.45
@@ -144,12 +144,12 @@ def test_body_that_was_out_of_reach_is_met_when_it_comes_to_the_cloth():
     far = body_of(trimesh.creation.icosphere(2, radius=0.1), move=[1.0, 0.0, 0.0])
     simulation = Simulation(Scene(garment=placed(sheet(0.2, 0.2, 0.05)), body=far, fabric=POPLIN, **WEIGHTLESS))
     simulation.advance(0.05)
-    assert len(simulation._contacts.planes.body_triangle) == listed(simulation) == 0
+    assert len(simulation.motion.contacts.planes.body_triangle) == listed(simulation) == 0
     simulation.move_body(far.vertices - [0.95, 0.0, 0.0], 0.5)
     touched = 0
     for _ in range(60):
         simulation.advance(0.01)
-        touched += listed(simulation) + len(simulation._contacts.planes.body_triangle)
+        touched += listed(simulation) + len(simulation.motion.contacts.planes.body_triangle)
         assert crossings(simulation.positions, simulation.triangles, simulation.scene.body) == 0
     assert touched > 0
     assert simulation.positions[:, 0].mean() < -0.05  # it was pushed along

@@ -149,7 +149,7 @@ def pressed(simulation: Simulation, seconds: float) -> Iterator[float]:
         assert len(self_crossing_edges(x, triangles)) == 0
         assert simulation.scene.body is not None
         assert crossings(x, triangles, simulation.scene.body) == 0
-        yield nearest_of(x, simulation._contacts.pairs, simulation.scene.body)
+        yield nearest_of(x, simulation.motion.contacts.pairs, simulation.scene.body)
 
 
 def nearest_of(x: np.ndarray, pairs: PairContacts, body: Body) -> float:

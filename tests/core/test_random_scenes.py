@@ -44,7 +44,7 @@ def run(simulation: Simulation) -> Simulation:
     for _ in range(TICKS):
         simulation.tick()
         assert np.isfinite(simulation.positions).all()
-        assert np.isfinite(simulation._v).all()
+        assert np.isfinite(simulation.motion.v).all()
     return simulation
 
 
@@ -71,7 +71,7 @@ def test_sheet_thrown_at_a_body_stays_finite_and_outside_and_does_so_again(fabri
         return run(simulation)
 
     one = thrown()
-    assert crossings(one._x, one.model.triangles, body) == 0
+    assert crossings(one.motion.x, one.model.triangles, body) == 0
     assert one.state_hash() == thrown().state_hash()
 
 

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from apparatus import body_of, pattern, rectangle, sheet, sides_through
 
-import cloth_core.simulation
+import cloth_core.motion
 from cloth_core.errors import SceneError, SimulationError
 from cloth_core.fabric import Fabric
 from cloth_core.grasp import Pose
@@ -24,9 +24,9 @@ class Broken:
     """A compiled loop that writes a value that is not finite from one call on, for some calls."""
 
     def __init__(self, monkeypatch, name: str, first: int, calls: int = 10**9) -> None:
-        self.run, self.first, self.end = getattr(cloth_core.simulation, name), first, first + calls
+        self.run, self.first, self.end = getattr(cloth_core.motion, name), first, first + calls
         self.count = 0
-        monkeypatch.setattr(cloth_core.simulation, name, self)
+        monkeypatch.setattr(cloth_core.motion, name, self)
 
     def __call__(self, x, v, *rest):
         done = self.run(x, v, *rest)
@@ -113,7 +113,7 @@ def test_the_last_good_state_stays_whatever_was_under_way(path, monkeypatch):
     # the cloth around it was like.
     time, steps, positions, body = seen[-1]
     assert simulation.phase == "failed"
-    assert np.isfinite(simulation._v).all()
+    assert np.isfinite(simulation.motion.v).all()
     if path == "moving body":
         assert simulation.time >= time
         assert simulation.scene.body is not BALL
@@ -157,7 +157,7 @@ def test_coarse_start_that_fails_is_done_without(monkeypatch):
 
     def look(s: Simulation) -> None:
         assert np.isfinite(s.positions).all()
-        phases.append((s.phase, s._coarse is not None))
+        phases.append((s.phase, s.drapes_coarsely))
 
     broken = Broken(monkeypatch, "run_steps", first=3, calls=1)
     report = simulation.settle(look)

@@ -92,13 +92,13 @@ def test_gravity_waits_until_the_seams_have_closed():
     mass = simulation.model.mass
     start = mass @ simulation.positions
     while simulation.phase == "sewing":
-        x, v = simulation.positions, simulation._v.copy()
+        x, v = simulation.positions, simulation.motion.v.copy()
         np.testing.assert_allclose(mass @ x, start, atol=1e-9)
         np.testing.assert_allclose(mass @ v, 0.0, atol=1e-9)
         simulation.tick()
-    height = simulation._x[:, 2] @ simulation.model.mass / simulation.model.mass.sum()
+    height = simulation.motion.x[:, 2] @ simulation.model.mass / simulation.model.mass.sum()
     simulation.advance(0.1)
-    fallen = height - simulation._x[:, 2] @ simulation.model.mass / simulation.model.mass.sum()
+    fallen = height - simulation.motion.x[:, 2] @ simulation.model.mass / simulation.model.mass.sum()
     k_a = simulation.scene.air_drag
     exact = GRAVITY / k_a * (0.1 - (1 - np.exp(-k_a * 0.1)) / k_a)
     assert fallen == pytest.approx(exact, rel=0.01)
@@ -109,15 +109,15 @@ def test_merging_keeps_momentum_and_the_centre_of_mass():
     while max(gaps(simulation).values()) > 0.0009:
         simulation.tick()
     assert simulation.phase == "sewing"
-    throw(simulation, np.random.default_rng(2).standard_normal(simulation._v.shape))
+    throw(simulation, np.random.default_rng(2).standard_normal(simulation.motion.v.shape))
     mass = simulation.model.mass
-    momentum, centre = mass @ simulation._v, mass @ simulation._x
-    simulation.time = simulation.scene.settings.closing_time
-    simulation._sew()
+    momentum, centre = mass @ simulation.motion.v, mass @ simulation.motion.x
+    simulation.motion.time = simulation.scene.settings.closing_time
+    simulation._sew(simulation.time)
     assert simulation.phase == "draping"
-    assert len(simulation._x) < len(mass)
-    np.testing.assert_allclose(simulation.model.mass @ simulation._v, momentum, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(simulation.model.mass @ simulation._x, centre, rtol=1e-12, atol=1e-15)
+    assert len(simulation.motion.x) < len(mass)
+    np.testing.assert_allclose(simulation.model.mass @ simulation.motion.v, momentum, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(simulation.model.mass @ simulation.motion.x, centre, rtol=1e-12, atol=1e-15)
     assert simulation.model.mass.sum() == pytest.approx(mass.sum(), rel=1e-12)
 
 

@@ -13,7 +13,7 @@ import trimesh
 from apparatus import bending_force, body_of, pattern, placed, plain_fabric, rectangle, sheet, sides_through, throw
 from naive_geometry import is_edge_intersecting_triangle
 
-import cloth_core.simulation
+import cloth_core.motion
 from cloth_core.body import Body
 from cloth_core.errors import SimulationError
 from cloth_core.fabric import Fabric
@@ -108,7 +108,7 @@ def test_tiny_time_step_is_right_and_not_taken_for_rest():
     n = 50 * 32
     assert simulation.steps == n
     assert simulation.time == pytest.approx(n * 1e-8, rel=1e-9)
-    np.testing.assert_allclose(simulation._v[:, 2], -9.80665 * n * 1e-8, rtol=1e-6)
+    np.testing.assert_allclose(simulation.motion.v[:, 2], -9.80665 * n * 1e-8, rtol=1e-6)
 
 
 def test_result_hardly_depends_on_the_time_step():
@@ -125,7 +125,7 @@ def test_result_hardly_depends_on_the_time_step():
 
 def energy(simulation: Simulation) -> float:
     """Kinetic, elastic and bending energy [J]; the bending forces are linear in the positions."""
-    model, x, v = simulation.model, simulation._x, simulation._v
+    model, x, v = simulation.model, simulation.motion.x, simulation.motion.v
     length = np.linalg.norm(x[model.springs.pairs[:, 1]] - x[model.springs.pairs[:, 0]], axis=1)
     stretch = (model.springs.stiffness * (length - model.springs.rest_length) ** 2).sum() / 2
     force = bending_force(model.bending, x)
@@ -147,7 +147,7 @@ def test_free_undamped_sheet_keeps_energy_momentum_and_angular_momentum():
     mass = simulation.model.mass[:, None]
 
     def totals():
-        x, v = simulation._x, simulation._v
+        x, v = simulation.motion.x, simulation.motion.v
         return energy(simulation), (mass * v).sum(axis=0), np.cross(x, mass * v).sum(axis=0)
 
     first = totals()
@@ -257,7 +257,7 @@ def test_progress_names_phase_speed_and_expected_rest():
     progress = simulation.progress
     assert progress.phase == "rest"
     assert progress.simulated_time == simulation.time
-    assert progress.largest_speed == pytest.approx(np.linalg.norm(simulation._v, axis=1).max())
+    assert progress.largest_speed == pytest.approx(np.linalg.norm(simulation.motion.v, axis=1).max())
     assert progress.speed > 0
     assert progress.estimated_rest_time == simulation.time
 
@@ -270,7 +270,7 @@ class Broken:
 
     def __init__(self, particle: int, value: float, of: str, after: int) -> None:
         self.particle, self.value, self.of, self.left = particle, value, of, after
-        self.run = cloth_core.simulation.run_steps
+        self.run = cloth_core.motion.run_steps
 
     def __call__(self, x, v, *rest):
         done = self.run(x, v, *rest)
@@ -284,7 +284,7 @@ class Broken:
 @pytest.mark.parametrize(("value", "of"), [(math.nan, "x"), (math.inf, "v"), (math.nan, "v"), (1e9, "v")])
 def test_state_that_is_not_finite_never_leaves_and_the_last_good_one_is_kept(monkeypatch, scene, value, of):
     simulation = Simulation(scene())
-    monkeypatch.setattr(cloth_core.simulation, "run_steps", Broken(7, value, of, after=3))
+    monkeypatch.setattr(cloth_core.motion, "run_steps", Broken(7, value, of, after=3))
     good = None
     with pytest.raises(SimulationError) as caught:  # noqa: PT012
         for _ in range(50):
@@ -314,7 +314,7 @@ def test_particle_is_named_by_its_panel_also_when_seams_are_merged(monkeypatch):
     while simulation.phase == "sewing":
         simulation.tick()
     last = simulation.model.particle_count - 1
-    monkeypatch.setattr(cloth_core.simulation, "run_steps", Broken(last, math.nan, "x", after=0))
+    monkeypatch.setattr(cloth_core.motion, "run_steps", Broken(last, math.nan, "x", after=0))
     original = scene.garment.particle_count - 1
     with pytest.raises(SimulationError, match=f"particle {original} of panel 'right'"):
         simulation.tick()
@@ -428,7 +428,7 @@ def test_hash_is_that_of_little_endian_positions_and_velocities():
 
     simulation = Simulation(hung())
     simulation.advance(0.05)
-    data = np.vstack([simulation._x, simulation._v]).astype("<f8").tobytes()
+    data = np.vstack([simulation.motion.x, simulation.motion.v]).astype("<f8").tobytes()
     assert simulation.state_hash() == hashlib.sha256(data).hexdigest()
     assert simulation.report().state_sha256 == simulation.state_hash()
 
@@ -471,9 +471,9 @@ def test_report_counts_crossings_and_depth_of_the_state():
     simulation = Simulation(Scene(garment=sheet(0.3, 0.3, 0.05, z=0.2), body=ball, fabric=Fabric.preset("wool")))
     clear = simulation.report()
     assert (clear.body_intersections, clear.self_intersections, clear.max_penetration) == (0, 0, 0.0)
-    simulation._x[:] += [0.0007, 0.0009, 0.0011 - 0.2]  # put through the ball, a little beside its own symmetry
+    simulation.motion.x[:] += [0.0007, 0.0009, 0.0011 - 0.2]  # put through the ball, a little beside its own symmetry
     report = simulation.report()
-    x, triangles = simulation._x, simulation.model.triangles
+    x, triangles = simulation.motion.x, simulation.model.triangles
     assert report.body_intersections == sides_through(x, triangles, ball.vertices, ball.triangles) > 0
     middle = np.linalg.norm([0.0007, 0.0009, 0.0011])
     assert report.max_penetration == pytest.approx(0.1 - middle, rel=0.02)  # of the particle nearest to the middle

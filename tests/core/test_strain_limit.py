@@ -132,10 +132,12 @@ def test_limit_does_not_shorten_the_time_step():
 def test_report_warns_of_a_strain_above_the_limit():
     garment = sheet(0.2, 0.2, 0.05)
     simulation = Simulation(Scene(garment=garment, fabric=plain_fabric(strain_limit=LIMIT), settings=Settings()))
-    simulation._x *= 1.08  # pulled apart all at once
+    simulation.motion.x *= 1.08  # pulled apart all at once
     report = simulation.report()
     assert report.max_strain == pytest.approx(0.08, rel=1e-6)
     assert report.mean_strain == pytest.approx(0.08, rel=1e-6)
     assert any(w.startswith("strain 8.0 % is above the fabric's limit of 5 %") for w in report.warnings)
     structural = simulation.model.springs.family == SpringFamily.STRUCTURAL
-    assert spring_strains(simulation._x, simulation.model.springs)[structural].max() == pytest.approx(report.max_strain)
+    assert spring_strains(simulation.motion.x, simulation.model.springs)[structural].max() == pytest.approx(
+        report.max_strain
+    )

@@ -109,6 +109,34 @@ def test_self_contact_that_is_off_changes_no_bit_where_layers_cannot_meet():
     assert runs[0].state_hash() == runs[1].state_hash()
 
 
+def test_term_that_is_off_stays_off_while_the_body_moves():
+    ends = []
+    for scene in (full_scene(("gravity",)), replace(full_scene(), gravity=(0.0, 0.0, 0.0))):
+        simulation = Simulation(scene)
+        while simulation.phase == "sewing":
+            simulation.tick()
+        simulation.move_body(BALL.vertices - [0.0, 0.0, 0.05], 0.05)
+        for _ in range(100):
+            simulation.tick()
+        assert not simulation.body_moves
+        ends.append(simulation.state_hash())
+    assert ends[0] == ends[1]
+
+
+def test_body_whose_contact_is_off_moves_and_changes_no_bit_of_the_cloth():
+    ends = []
+    for moves in (False, True):
+        simulation = Simulation(full_scene(("body contact",)))
+        simulation.advance(0.1)
+        if moves:
+            there = BALL.vertices + np.array([0.0, 0.0, 0.05])
+            simulation.move_body(there, 0.05)
+            np.testing.assert_array_equal(simulation.scene.body.vertices, there)
+        simulation.advance(0.1)
+        ends.append(simulation.state_hash())
+    assert ends[0] == ends[1]
+
+
 @pytest.mark.parametrize("name", SWITCHABLE)
 def test_term_that_is_off_has_no_arrays(name):
     model = Model(full_scene((name,)), sewing=name != "seams")

@@ -7,7 +7,7 @@ import pytest
 from small_scenes import handkerchief
 from test_worker import Bench
 
-import cloth_core.simulation
+import cloth_core.motion
 from cloth_core.errors import ClothError
 from cloth_sim_ros.messages import decode_marker
 from cloth_sim_ros.topics import GARMENT
@@ -22,7 +22,7 @@ def bench(tmp_path):
 
 @pytest.mark.parametrize("command", ["start", "step", "drape"])
 def test_no_frame_is_ever_not_finite_and_the_last_is_the_last_good_state(bench, monkeypatch, command):
-    good = cloth_core.simulation.run_steps
+    good = cloth_core.motion.run_steps
     calls = 0
 
     def breaks_later(x, v, *rest):
@@ -35,7 +35,7 @@ def test_no_frame_is_ever_not_finite_and_the_last_is_the_last_good_state(bench, 
 
     bench.give(handkerchief())
     with monkeypatch.context() as patch:
-        patch.setattr(cloth_core.simulation, "run_steps", breaks_later)
+        patch.setattr(cloth_core.motion, "run_steps", breaks_later)
         while not bench.listener.warnings:
             getattr(bench.worker, command)()
             bench.listener.wait(

@@ -162,7 +162,7 @@ def test_what_acts_from_outside_ends_the_verification_and_is_named(tmp_path):
         recorder.follow(simulation)
         if simulation.time > 0.2:
             simulation.acted_upon("a gust")
-            simulation._v[:, 0] += 1.0
+            simulation.motion.v[:, 0] += 1.0
 
     with RunRecorder(path, [pattern.source], None, {}, patterns=[pattern], scene=scene) as recorder:
         recorder.follow(simulation)
