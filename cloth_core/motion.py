@@ -17,6 +17,7 @@ from cloth_core.implicit_step import ImplicitState, implicit_steps
 from cloth_core.kernel import kernel
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion, with_vertices
+from cloth_core.resting_regions import RestingRegions, awake_terms
 from cloth_core.scene import Scene
 from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH, SmoothWindows
 from cloth_core.stability import StableStep
@@ -26,6 +27,7 @@ from cloth_core.travel_renewal import SPENT
 __all__ = ["Motion"]
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 # Steps between two looks at the run, and the same for implicit steps.
 _TICK_STEPS = 32
@@ -77,6 +79,7 @@ class Motion:
         sewn_since: when seams began to be pulled [s].
         grasps: who holds which particles; body_motion: the body on its way, None while it stands.
         terms, contact_settings, contacts, work, moved: what the compiled loops take.
+        regions: which particles sleep; None: nobody asks.
         implicit: what implicit steps need; None for the others.
         searches: for contacts, so far.
         warnings: lines for the report.
@@ -108,10 +111,12 @@ class Motion:
         self._impulse_step = 1.0
         self._flight_step = math.inf
         self._next_check = 0.0
+        self.regions: RestingRegions | None = None
 
     def use(self, model: Model, unsewn_x: Floats, unsewn_v: Floats, softness: float = 1.0) -> None:
         """Take over a model and bring the state, (n, 3) in the unsewn numbering, into its own, keeping momentum."""
         self.model = model
+        self.regions = None
         garment = self.scene.garment
         weight = garment.particle_areas
         self.x = model.gather(unsewn_x, weight)
@@ -192,7 +197,7 @@ class Motion:
         """Take the terms from the model, and the time step from a new estimate, or from the last one."""
         if estimate:
             self.stable = self.model.stable_step(self.x, self.air_drag, self.stable.mode, tolerance)
-        self.terms = self.model.force_terms(self.air_drag)
+        self._take_terms()
         longest = self.model.longest_step(self.stable)
         wanted = self.scene.settings.time_step
         if self.implicit is not None:
@@ -207,6 +212,28 @@ class Motion:
                     f"time step {wanted:g} s: longer than the stable {longest:g} s; cut into sub-steps"
                 )
         self._next_check = self.time + _CHECK_INTERVAL
+
+    def let_sleep(self, regions: RestingRegions | None) -> None:
+        """Step only what is awake of the model's particles from now on; None: all of them."""
+        self.regions = regions
+        self.look_at_regions()
+        self._take_terms()
+
+    def look_at_regions(self) -> None:
+        """See whether regions have come to lie still, or are disturbed."""
+        if self.regions is not None and self.regions.look(self.time, self.x, self.contacts):
+            self.v[self.regions.asleep] = 0.0
+            self._take_terms()
+
+    @property
+    def asleep(self) -> Bools:
+        """Particles that are not stepped, (k,)."""
+        return np.zeros(len(self.x), dtype=bool) if self.regions is None else self.regions.asleep
+
+    def _take_terms(self) -> None:
+        self.terms = self.model.force_terms(self.air_drag)
+        if self.asleep.any():
+            self.terms = awake_terms(self.terms, self.asleep)
 
     @property
     def air_drag(self) -> float:

@@ -37,6 +37,7 @@ class Report:
         warnings: one line each.
         state_sha256: hash of the final positions and velocities.
         time_not_stepped: part of simulated_time in which nothing moved and nothing was computed [s].
+        particles_asleep: how many lie so still, after a run to rest, that they are not stepped while others move.
         gate: verdict of GarmentCode's gate (`gate.judge`), null where it was not asked for.
     """
 
@@ -69,6 +70,7 @@ class Report:
     warnings: tuple[str, ...] = field(default=())
     state_sha256: str = ""
     time_not_stepped: float = 0.0
+    particles_asleep: int = 0
     gate: dict[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:

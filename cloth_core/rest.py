@@ -14,6 +14,7 @@ __all__ = ["RestWatch", "StallWatch", "slowest_swing", "why_restless"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
 
 # Nothing that hangs swings more slowly than this [rad/s]; without gravity it stands for all motion.
 _LEAST_FREQUENCY = 2.0
@@ -67,6 +68,10 @@ class RestWatch:
 
     def at_rest(self, time: float, x: Floats) -> bool:
         """End a window; whether all particles are at rest. It takes two windows at least."""
+        return bool(self.still(time, x).all())
+
+    def still(self, time: float, x: Floats) -> Bools:
+        """End a window; which particles are at rest, (n,). It takes two windows at least."""
         self._times = [*self._times[-2:], time]
         self._positions = [*self._positions[-2:], x.copy()]
         way = np.sqrt(((self._positions[-1] - self._positions[-2]) ** 2).sum(axis=1))
@@ -75,12 +80,12 @@ class RestWatch:
         self.ratio = last / self.movement if self.movement else None
         self.movement = last
         if len(self._times) < 3:
-            return False
+            return np.zeros(len(x), dtype=bool)
         (x0, x1, x2), (t0, t1, t2) = self._positions, self._times
         before, now = (x1 - x0) / (t1 - t0), (x2 - x1) / (t2 - t1)
         acceleration = (now - before) / ((t2 - t0) / 2.0) + self._drag * now
         highest_speed = np.sqrt((now**2).sum(axis=1) + (acceleration**2).sum(axis=1) / self._slowest**2)
-        return float(highest_speed.max()) * self.window <= self.displacement
+        return np.asarray(highest_speed * self.window <= self.displacement)
 
 
 class StallWatch:

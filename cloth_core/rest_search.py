@@ -9,6 +9,7 @@ import numpy as np
 from cloth_core.calming import Calming, limit_speed
 from cloth_core.motion import Motion
 from cloth_core.rest import RestWatch, StallWatch, slowest_swing, why_restless
+from cloth_core.resting_regions import RestingRegions
 from cloth_core.seam_closing import SeamClosing
 from cloth_core.support import PATIENCE_WITH_FALLEN, why_fallen, why_unsupported
 from cloth_core.tightness import Tightness, TightnessWatch
@@ -54,6 +55,7 @@ class RestSearch:
         """Something acts from outside."""
         self.settled = self.asleep = False
         self.open_window(motion)
+        self.rest_regions(motion)
 
     def open_window(self, motion: Motion) -> None:
         """Look from here on."""
@@ -61,6 +63,17 @@ class RestSearch:
         slowest = _slowest_swing(motion)
         self._watch = RestWatch(settings.rest_displacement, settings.rest_window, slowest, motion.air_drag)
         self._watch.open(motion.time, motion.x)
+
+    def rest_regions(self, motion: Motion) -> None:
+        """After a run to rest, let regions that lie still sleep, as long as the body does not move."""
+        if not self._has_settled or self.seeking or motion.body_motion is not None or motion.implicit is not None:
+            if motion.regions is not None:
+                motion.let_sleep(None)
+        elif motion.regions is None or self.asleep:
+            slowest, drag = _slowest_swing(motion), motion.air_drag
+            motion.let_sleep(RestingRegions(motion.model, motion.time, motion.x, slowest, drag, self.asleep))
+        else:
+            motion.look_at_regions()
 
     def look(self, motion: Motion, seams: SeamClosing) -> bool:
         """End a window if it is time to; whether it was. The seams are merged, but for those that stay open."""

@@ -102,6 +102,7 @@ def report_of(
         warnings=tuple(dict.fromkeys(lines)),
         state_sha256=hash_of(motion.x, motion.v),
         time_not_stepped=time_not_stepped,
+        particles_asleep=int(motion.asleep.sum()),
     )
 
 
@@ -118,6 +119,7 @@ def description_of(state: RunState) -> dict[str, Any]:
         "expected_error": scene.settings.expected_error,
         "expected_error_source": scene.settings.expected_error_source,
         "particles": model.particle_count,
+        "particles_asleep": int(motion.asleep.sum()),
         "triangles": len(model.triangles),
         "springs": len(model.springs),
         "panels": list(scene.garment.panel_names),

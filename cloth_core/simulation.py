@@ -232,6 +232,7 @@ class Simulation:
         """Run until the cloth lies still or there is no hope that it will; why it ended."""
         self._rest.begin()
         self.motion.extra_drag = self.scene.settings.settle_drag
+        self._rest.rest_regions(self.motion)
         stopped = self.steps == 0 and self._start_coarse(on_tick)
         if self.phase == SEWING:
             self.model.soften(_SOFTNESS)
@@ -369,6 +370,7 @@ class Simulation:
             self._sew(sewn_for)
         elif not self._sew_the_rest() and self._rest.look(motion, self._seams):
             self.phase = REST if self._rest.settled else DRAPING
+        self._rest.rest_regions(motion)
         motion.check_time_step()
         wall = time.perf_counter() - began
         self._wall += wall

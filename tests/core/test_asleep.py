@@ -37,6 +37,7 @@ def test_after_rest_time_goes_on_without_steps():
 def test_stepping_on_would_have_changed_nothing(monkeypatch):
     simulation = asleep()
     monkeypatch.setattr("cloth_core.rest_search._NOTHING", -1.0)
+    monkeypatch.setattr("cloth_core.resting_regions._STILL", -1.0)
     stepped = asleep()
     assert stepped.report().time_not_stepped == 0.0
     stepped.advance(5.0)
