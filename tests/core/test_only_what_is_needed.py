@@ -77,7 +77,7 @@ def test_drag_of_a_run_to_rest_comes_and_goes_in_a_scene_without_air():
     # Motion after it is free of air again: what is let go falls as a stone does.
     free = Simulation(replace(scene, pins=np.zeros(0, dtype=np.int32)))
     free.settle()
-    before, velocity = free.positions, free._v.copy()
+    before, velocity = free.positions, free.motion.v.copy()
     free.advance(0.05)
     fallen = (before - free.positions)[:, 2] + 0.05 * velocity[:, 2]
     np.testing.assert_allclose(fallen.mean(), 9.80665 * 0.05**2 / 2, rtol=0.02)
