@@ -123,7 +123,7 @@ def test_body_out_of_reach_lists_no_pair_and_changes_no_bit():
             assert not far[simulation.motion.contacts.planes.body_triangle].any()
         runs.append(simulation)
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
-    assert len(runs[0]._contacts.planes.body_triangle) > 0
+    assert len(runs[0].motion.contacts.planes.body_triangle) > 0
 
 
 def test_body_that_was_out_of_reach_is_met_when_cloth_comes_there():
