@@ -28,6 +28,8 @@ _LEAST_RADIUS = 0.002
 # particle, up to so many times, and smaller again when they find more than that.
 _WIDEN, _WIDEST = 1.5, 4.0
 _FEW_PAIRS, _MANY_PAIRS = 0.25, 1.0
+# What is next to something fast will soon be fast itself: over so many triangles.
+_AHEAD = 2
 
 
 class BroadPhase:
@@ -90,6 +92,8 @@ class BroadPhase:
         least = min(_LEAST_RADIUS, self.radius)
         radius = min(self._wider * self.radius, max(self.farthest, self.radius))
         largest = radius if self.cloth is None else self.cloth.largest_radii(x, radius, self.farthest)
+        if self.cloth is None:  # beside contact of cloth with cloth the lists grow by what the searches save
+            wanted = _largest_around(wanted, self.triangles, _AHEAD)
         self.radii = np.asarray(least + (largest - least) * (wanted / wanted.max()))
         self.x = x.copy()
         self.planes = VertexPlanes.none(len(x))
@@ -143,3 +147,16 @@ def _left_of_radius(
         left[i] = radii[i] - moved[i]
         short += not enough_of_radius(left[i], wanted[i], radius)
     return short > 0, moved, left
+
+
+@kernel
+def _largest_around(values: Floats, triangles: Ints, rings: int) -> Floats:
+    """For each particle the largest value (n,) within so many triangles (m, 3) of it, (n,)."""
+    for _ in range(rings):
+        grown = values.copy()
+        for t in range(triangles.shape[0]):
+            largest = max(values[triangles[t, 0]], max(values[triangles[t, 1]], values[triangles[t, 2]]))
+            for k in range(3):
+                grown[triangles[t, k]] = max(grown[triangles[t, k]], largest)
+        values = grown
+    return values
