@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_core.aabb_tree import AabbTree, build_tree
+from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
 from cloth_core.body_repair import repair_mesh
 from cloth_core.errors import BodyError
 from cloth_core.mesh_distance import distances_to_mesh
@@ -43,6 +43,7 @@ class Body:
     triangles: Ints
     repairs: dict[str, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    _tree_before: AabbTree | None = field(default=None, init=False, repr=False, compare=False)
 
     @classmethod
     def load(cls, source: str | Path) -> Body:
@@ -118,8 +119,22 @@ class Body:
 
     @cached_property
     def tree(self) -> AabbTree:
-        """The AABB tree of the triangles; built on first use, then kept."""
-        return build_tree(self.vertices, self.triangles)
+        """The AABB tree of the triangles; built on first use, or refitted if the body has moved, then kept."""
+        if self._tree_before is None:
+            return build_tree(self.vertices, self.triangles)
+        tree = AabbTree(**{name: part.copy() for name, part in self._tree_before._asdict().items()})
+        refit_tree(tree, self.vertices, self.triangles, 0.0)
+        return tree
+
+    def moved(self, vertices: Floats) -> Body:
+        """The same body with its vertices elsewhere [m], shape (n, 3), finite."""
+        body = Body(self.name, np.ascontiguousarray(vertices), self.triangles, self.repairs, self.warnings)
+        # On the way to a place at which something is searched, most bodies are never asked for their tree.
+        before = self.tree if self._tree_before is None else self.__dict__.get("tree", self._tree_before)
+        object.__setattr__(body, "_tree_before", before)
+        # What a cached property would compute at its first use.
+        body.__dict__["representatives"] = self.representatives
+        return body
 
     @cached_property
     def lowest(self) -> float:

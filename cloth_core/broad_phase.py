@@ -128,7 +128,17 @@ class BroadPhase:
         """Farthest that any vertex of the body has moved since the search [m]."""
         if self.body is None or self._body_x is None or self.body.body.vertices is self._body_x:
             return 0.0
-        return float(np.sqrt(((self.body.body.vertices - self._body_x) ** 2).sum(axis=1).max()))
+        return _farthest_way(self._body_x, self.body.body.vertices)
+
+
+@kernel
+def _farthest_way(before: Floats, now: Floats) -> float:
+    """Largest distance between rows of (b, 3) [m]."""
+    largest = 0.0
+    for i in range(now.shape[0]):
+        dx, dy, dz = now[i, 0] - before[i, 0], now[i, 1] - before[i, 1], now[i, 2] - before[i, 2]
+        largest = max(largest, dx * dx + dy * dy + dz * dz)
+    return float(np.sqrt(largest))
 
 
 @kernel

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from cloth_core.implicit_matrix import build_matrix
 from cloth_core.implicit_step import ImplicitState, implicit_steps
 from cloth_core.kernel import kernel
 from cloth_core.model import Model
-from cloth_core.moving_body import BodyMotion, with_vertices
+from cloth_core.moving_body import BodyMotion
 from cloth_core.resting_regions import RestingRegions, awake_terms
 from cloth_core.scene import Scene
 from cloth_core.smooth_windows import FOLDED, FOLDING, SMOOTH, SmoothWindows
@@ -319,7 +318,7 @@ class Motion:
             raise SceneError("move_body: the scene has no body; build one with a body")
         motion = BodyMotion(self.scene.body, vertices, duration, max_speed)
         if self.model.scene.body is None:  # contact with it is switched off: nothing depends on its way
-            self.scene = replace(self.scene, body=with_vertices(self.scene.body, np.array(vertices, dtype=np.float64)))
+            self.scene = self.scene.with_body(self.scene.body.moved(np.array(vertices, dtype=np.float64)))
             return
         self.body_motion = None if motion.done else motion
         self.contact_settings = self.contact_settings._replace(body_velocity=motion.velocity)
@@ -329,8 +328,7 @@ class Motion:
         assert self.model.contact is not None
         assert self.model.contact.body is not None
         body = motion.advance(elapsed)
-        self.scene = replace(self.scene, body=body)
-        self.model.scene = replace(self.model.scene, body=body)
+        self.scene, self.model.scene = self.scene.with_body(body), self.model.scene.with_body(body)
         self.model.contact.body.body = body
         self.contact_settings = self.contact_settings._replace(
             body_vertices=body.vertices, body_velocity=motion.velocity

@@ -14,7 +14,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree, refit_tree
 from cloth_core.body import Body
 from cloth_core.closest_points import point_triangle
 from cloth_core.contact import ContactState
@@ -22,7 +21,7 @@ from cloth_core.errors import BodyError
 from cloth_core.kernel import kernel
 from cloth_core.pair_contacts import PairContacts, measure_pair
 
-__all__ = ["BodyMotion", "with_vertices"]
+__all__ = ["BodyMotion"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -93,7 +92,7 @@ class BodyMotion:
             self.done = True
             self.velocity = np.zeros_like(self.velocity)
         vertices = self._goal if self.done else self._start + self._elapsed / self.duration * self._way
-        self.body = with_vertices(self.body, vertices)
+        self.body = self.body.moved(vertices)
         return self.body
 
     def found(self, x: Floats, contacts: ContactState, offset: float) -> ContactState:
@@ -118,18 +117,6 @@ class BodyMotion:
         self._safe_time = min(_BODY_SHARE * safe, _LONGEST_TIME)
         near = contacts.near._replace(room=0.5 * contacts.near.room)
         return contacts._replace(travel=0.5 * contacts.travel, near=near)
-
-
-def with_vertices(body: Body, vertices: Floats) -> Body:
-    """The same body with its vertices elsewhere [m], shape (n, 3); its tree is refitted, not built anew."""
-    moved = Body(body.name, np.ascontiguousarray(vertices), body.triangles, body.repairs, body.warnings)
-    parts = {name: part.copy() for name, part in body.tree._asdict().items()}
-    tree = AabbTree(**parts)
-    refit_tree(tree, moved.vertices, moved.triangles, 0.0)
-    # What a cached property would compute at its first use.
-    moved.__dict__["tree"] = tree
-    moved.__dict__["representatives"] = body.representatives
-    return moved
 
 
 @kernel

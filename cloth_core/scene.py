@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -169,6 +170,12 @@ class Scene:
             gravity=-self.gravity[2], air_drag=self.air_drag, without=self.without,
         )  # fmt: skip
         return scene.disturbed(self.seed)
+
+    def with_body(self, body: Body | None) -> Scene:
+        """The same scene around another body; what has been checked is not checked again."""
+        scene = copy(self)
+        object.__setattr__(scene, "body", body)
+        return scene
 
     def disturbed(self, seed: int) -> Scene:
         """The same scene with each particle 0.1 mm off its start, in a direction drawn with seed; 0 for nothing."""

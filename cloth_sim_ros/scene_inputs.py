@@ -9,7 +9,6 @@ from cloth_core.body import Body
 from cloth_core.calibration import Cloth
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
-from cloth_core.moving_body import with_vertices
 from cloth_core.pattern import Pattern
 from cloth_core.quality import Settings, settings_for
 from cloth_core.scene import Scene
@@ -107,7 +106,7 @@ class ReceivedBody:
         same = len(vertices) == len(self.body.vertices) and np.array_equal(triangles, self.triangles)
         if not (same and np.isfinite(vertices).all()):
             return None
-        return ReceivedBody(with_vertices(self.body, vertices), encode_mesh(vertices, triangles), self.triangles)
+        return ReceivedBody(self.body.moved(vertices), encode_mesh(vertices, triangles), self.triangles)
 
 
 @dataclass(frozen=True, eq=False)

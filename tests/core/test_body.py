@@ -11,6 +11,7 @@ from naive_geometry import point_triangle_distance
 
 from cloth_core.body import Body, builtin_bodies
 from cloth_core.errors import BodyError
+from cloth_core.mesh_distance import distances_to_mesh
 
 
 @pytest.mark.parametrize("what", MALFORMED)
@@ -189,3 +190,19 @@ def test_builtin_body_has_the_papers_height_and_a_plausible_weight(name):
     assert body.vertices[:, 2].min() == pytest.approx(0.0, abs=0.01)
     volume = np.linalg.det(body.vertices[body.triangles]).sum() / 6
     assert 1000 * volume == pytest.approx(WEIGHTS[name], rel=0.06)  # a person weighs about as much as water
+
+
+def test_moved_body_is_searched_where_it_is_and_the_first_one_where_it_was():
+    body = body_of(trimesh.creation.icosphere(2, radius=0.2))
+    points = np.random.default_rng(3).uniform(-0.5, 0.5, (50, 3))
+    way = np.array([0.3, 0.0, 0.1])
+    before = distances_to_mesh(points, body.vertices, body.triangles, body.tree)
+    # Twice, the second time in another shape, without a search in between.
+    moved = body.moved(body.vertices + way).moved(1.5 * body.vertices + way)
+    mesh = trimesh.Trimesh(moved.vertices, moved.triangles, process=False)
+    _, exact, _ = trimesh.proximity.closest_point(mesh, points)
+    found = distances_to_mesh(points, moved.vertices, moved.triangles, moved.tree)
+    np.testing.assert_allclose(found, exact, atol=1e-12)
+    assert (np.abs(found - before) > 1e-3).any()
+    np.testing.assert_array_equal(distances_to_mesh(points, body.vertices, body.triangles, body.tree), before)
+    assert (moved.name, moved.repairs, moved.warnings) == (body.name, body.repairs, body.warnings)
