@@ -293,12 +293,14 @@ def _renew_planes(
     body_x: Floats,
     body_v: Floats,
     body_triangles: Ints,
+    body_way: float,
     offset: float,
     renewal: float,
 ) -> None:
     """Contact planes of particle i: its nearest triangles a little beyond the offset, one for each direction.
 
-    They hold until the particle has moved by `renewal` [m], and where there is none until it can have come to one.
+    They hold until the particle has moved by `renewal` [m], and where there is none until it can have come to one while
+    the body moves by body_way [m].
     """
     count = 0
     slack = 2.0 * renewal
@@ -337,7 +339,7 @@ def _renew_planes(
             for axis in range(3):
                 plane[_VELOCITY + axis] = u * body_v[a, axis] + v * body_v[b, axis] + w * body_v[c, axis]
     planes.plane_count[i] = count
-    free = max(np.sqrt(clear) - offset, renewal) if count == 0 else renewal
+    free = max(np.sqrt(clear) - offset - body_way, renewal) if count == 0 else renewal
     for axis in range(3):
         planes.at[i, axis] = x[i, axis]
     planes.at[i, 3] = free * free
@@ -352,6 +354,7 @@ def hold_vertices(
     body_x: Floats,
     body_v: Floats,
     body_triangles: Ints,
+    body_way: float,
     offset: float,
     friction: float,
     push_speed: float,
@@ -366,7 +369,7 @@ def hold_vertices(
         px, py, pz = x[i, 0], x[i, 1], x[i, 2]
         dx, dy, dz = px - planes.at[i, 0], py - planes.at[i, 1], pz - planes.at[i, 2]
         if planes.plane_count[i] < 0 or dx * dx + dy * dy + dz * dz > planes.at[i, 3]:
-            _renew_planes(i, x, planes, body_x, body_v, body_triangles, offset, renewal)
+            _renew_planes(i, x, planes, body_x, body_v, body_triangles, body_way, offset, renewal)
         held = planes.plane_count[i]
         if held == 0:
             continue
@@ -396,6 +399,17 @@ def hold_vertices(
                 py += push * ny - hold * ty * dt
                 pz += push * nz - hold * tz * dt
         x[i, 0], x[i, 1], x[i, 2] = px, py, pz
+
+
+@kernel
+def carry_planes(planes: VertexPlanes, dt: float) -> None:
+    """Take the contact planes on by the way that the body's surface goes in a step of dt [s]."""
+    for entry in range(planes.armed_count[0]):
+        i = planes.armed[entry]
+        for k in range(planes.plane_count[i]):
+            plane = planes.plane[i, k]
+            along = plane[0] * plane[_VELOCITY] + plane[1] * plane[_VELOCITY + 1] + plane[2] * plane[_VELOCITY + 2]
+            plane[_GAP] -= dt * along
 
 
 @inlined_kernel

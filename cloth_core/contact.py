@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.axis_layout import particle_rows
-from cloth_core.body_contact import BodyContact, VertexPlanes, arm, hold_vertices, vertex_body_gaps
+from cloth_core.body_contact import BodyContact, VertexPlanes, arm, carry_planes, hold_vertices, vertex_body_gaps
 from cloth_core.broad_phase import BroadPhase
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.kernel import kernel
@@ -58,6 +58,7 @@ __all__ = [
     "Contact",
     "ContactSettings",
     "ContactState",
+    "carry_body",
     "keep_within_travel",
     "resolve_contacts",
 ]
@@ -103,6 +104,8 @@ class ContactSettings(NamedTuple):
     Attributes:
         active: whether there is anything to collide with.
         body_vertices (b, 3) [m], body_velocity (b, 3) [m/s], body_triangles (t, 3): empty without a body.
+        body_way: how far a vertex of the body may go in steps that are done at once [m]; 0 while it stands, and then
+            body_vertices are never written to.
         offset: distance of cloth vertices from the body [m].
         friction: Coulomb coefficient; push_speed: fastest way out for what is too near [m/s].
     """
@@ -111,6 +114,7 @@ class ContactSettings(NamedTuple):
     body_vertices: Floats
     body_velocity: Floats
     body_triangles: Ints
+    body_way: float
     offset: float
     friction: float
     push_speed: float
@@ -341,10 +345,19 @@ def resolve_contacts(
     spent = keep_within_travel(x, v, state, moved)
     hold_vertices(
         rows_x, rows_v, inverse_mass, state.planes, settings.body_vertices, settings.body_velocity,
-        settings.body_triangles, settings.offset, settings.friction, settings.push_speed, dt,
+        settings.body_triangles, settings.body_way, settings.offset, settings.friction, settings.push_speed, dt,
     )  # fmt: skip
     hold_pairs(
-        rows_x, rows_v, inverse_mass, state.pairs, settings.body_vertices, settings.body_velocity, settings.friction,
-        settings.push_speed, dt, moved,
+        rows_x, rows_v, inverse_mass, state.pairs, settings.body_vertices, settings.body_velocity, settings.body_way,
+        settings.friction, settings.push_speed, dt, moved,
     )  # fmt: skip
     return spent
+
+
+@kernel
+def carry_body(state: ContactState, settings: ContactSettings, dt: float) -> None:
+    """Take the body, and the planes at which it holds particles, on by the way of a step of dt [s]."""
+    for i in range(settings.body_vertices.shape[0]):
+        for axis in range(3):
+            settings.body_vertices[i, axis] += dt * settings.body_velocity[i, axis]
+    carry_planes(state.planes, dt)

@@ -196,6 +196,7 @@ class Model:
             body_vertices=body.vertices if body is not None else np.zeros((0, 3)),
             body_velocity=np.zeros_like(body.vertices) if body is not None else np.zeros((0, 3)),
             body_triangles=body.triangles if body is not None else np.zeros((0, 3), dtype=np.int32),
+            body_way=0.0,
             offset=settings.contact_offset,
             friction=0.0 if self.sewing else self.scene.fabric.friction,
             push_speed=settings.push_speed,

@@ -154,12 +154,11 @@ class Motion:
         dt = self.time_step if last_time == math.inf else min(self.time_step, (last_time - self.time) / count)
         while done < count:
             body, steps = self.body_motion, self.grasps.steps(count - done)
-            if body is not None:
-                # One step at a time: to the contacts the body stands where it was at the search.
-                steps = 1
             if self._flight_step < dt:
                 self._flight_step = self._longest_flight(self.speeds())
             step = min(dt, self._flight_step)
+            if body is not None:
+                steps = min(steps, self._steps_with_body(body, step))
             self._rescale_impulses(step)
             before_steps = self._finite_state() if self._smooth is not None else None
             if self.grasps:
@@ -324,6 +323,16 @@ class Motion:
         self.contact_settings = self.contact_settings._replace(body_velocity=motion.velocity)
         self.search_contacts()
 
+    def _steps_with_body(self, motion: BodyMotion, step: float) -> int:
+        """How many steps of that length [s] are done until the next search."""
+        if self.implicit is not None:
+            return 1
+        steps, way = motion.steps(step, self.contact_settings.offset)
+        # The steps take a copy of the vertices on; the body itself follows after them.
+        vertices = motion.body.vertices.copy() if steps > 1 else motion.body.vertices
+        self.contact_settings = self.contact_settings._replace(body_vertices=vertices, body_way=way)
+        return steps
+
     def _advance_body(self, motion: BodyMotion, elapsed: float) -> None:
         assert self.model.contact is not None
         assert self.model.contact.body is not None
@@ -331,7 +340,7 @@ class Motion:
         self.scene, self.model.scene = self.scene.with_body(body), self.model.scene.with_body(body)
         self.model.contact.body.body = body
         self.contact_settings = self.contact_settings._replace(
-            body_vertices=body.vertices, body_velocity=motion.velocity
+            body_vertices=body.vertices, body_velocity=motion.velocity, body_way=0.0
         )
         if motion.done:
             self.body_motion = None

@@ -1,10 +1,9 @@
 """A body whose vertices move: linearly to where they shall be, never through the cloth, dragging what rests on them.
 
-Between two searches for contacts the body stands still for distances and moves for velocities: contacts remove the
-cloth's velocity *relative* to the body. At each search its vertices are taken on by the way of the time since the last
-one. So that this way cannot cross the cloth, the time between two searches is bounded: cloth may use one half of a gap
-(`BodyMotion.found`), the body the other half. Where cloth is pinched, so that not even one time step is
-safe, the body waits: it comes late rather than through the cloth.
+Within a step the body stands still for distances and moves for velocities: contacts remove the cloth's velocity
+*relative* to the body. After each step its vertices are taken on. So that their way cannot cross the cloth, the time
+between two searches is bounded: cloth may use one half of a gap (`BodyMotion.found`), the body the other half. Where
+cloth is pinched, so that not even one time step is safe, the body waits: it comes late rather than through the cloth.
 """
 
 from __future__ import annotations
@@ -28,6 +27,8 @@ Ints = NDArray[np.int32]
 
 # Share of a gap that the body may use between two searches; the cloth's is below one half too.
 _BODY_SHARE = 0.45
+# Farthest that it goes between two searches, as a share of the offset.
+_WAY_SHARE = 0.25
 # The body comes no nearer to cloth than this [m].
 _LEAST_GAP = 0.0005
 # No search is made for more than this much of the motion at once, so that it looks smooth [s].
@@ -81,6 +82,18 @@ class BodyMotion:
         self._speed = np.sqrt((self.velocity**2).sum(axis=1))
         self._highest_speed = float(self._speed.max())
         self.done = longest == 0.0
+
+    def steps(self, step: float, offset: float) -> tuple[int, float]:
+        """How many steps [s] may be done before the next search, at least one; how far a vertex goes in them [m].
+
+        As long as all of it is safe and the body goes no farther than a share of the offset [m]: whatever it has not
+        been near at the search is held off from then on at the next one.
+        """
+        time = min(self._safe_time, self.duration - self._elapsed)
+        if self._highest_speed > 0.0:
+            time = min(time, _WAY_SHARE * offset / self._highest_speed)
+        count = max(int(time / step), 1)
+        return count, count * step * self._highest_speed if count > 1 else 0.0
 
     def advance(self, time: float) -> Body:
         """Takes the body on by `time` [s], or by what is safe if that is less."""

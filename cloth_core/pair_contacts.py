@@ -173,6 +173,7 @@ def hold_pairs(
     pairs: PairContacts,
     body_x: Floats,
     body_v: Floats,
+    body_way: float,
     friction: float,
     push_speed: float,
     dt: float,
@@ -181,9 +182,10 @@ def hold_pairs(
     """Hold all pairs apart after a step, in place.
 
     Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,); body_x, body_v (b, 3) [m, m/s]; moved (n,), way of each particle
-    since the search [m]; friction is Coulomb's coefficient; push_speed [m/s] bounds how fast what is too near leaves.
+    since the search [m], and body_way, that of the body at most; friction is Coulomb's coefficient; push_speed [m/s]
+    bounds how fast what is too near leaves.
     """
-    count = _find_active(x, v, inverse_mass, pairs, body_x, body_v, dt, moved)
+    count = _find_active(x, v, inverse_mass, pairs, body_x, body_v, body_way, dt, moved)
     if count == 0:
         return
     # What the sweeps need of each contact, side by side; a particle that is not there is one of no weight.
@@ -283,6 +285,7 @@ def _find_active(
     pairs: PairContacts,
     body_x: Floats,
     body_v: Floats,
+    body_way: float,
     dt: float,
     moved: Floats,
 ) -> int:
@@ -294,10 +297,10 @@ def _find_active(
         size = pairs.impulse[s]
         if size > 0.0:  # it was given on trust at the beginning of the step, where the parts touched in the last one
             _apply_kept(x, v, inverse_mass, pairs, s, -1.0, dt)
-        # Nothing can have come nearer than by the way that its particles went since the search.
+        # Nothing can have come nearer than by the way that its particles, and the body, went since the search.
         reach = COUNTS_FROM * pairs.offset[s]
         squared = np.inf
-        if pairs.listed_distance[entry] - reach <= _way(pairs, s, moved):
+        if pairs.listed_distance[entry] - reach - body_way <= _way(pairs, s, moved):
             squared = measure_pair(x, pairs, s, body_x, closest)
         if squared >= reach * reach or squared < 1e-24:
             pairs.impulse[s] = pairs.gap[s] = 0.0

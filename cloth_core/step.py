@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cloth_core.axis_layout import by_axis, by_particle, particle_rows
 from cloth_core.bending import bending_forces
-from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
+from cloth_core.contact import ContactSettings, ContactState, carry_body, keep_within_travel, resolve_contacts
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel
@@ -161,6 +161,8 @@ def run_steps(
                 rows_x, rows_v, contacts, contact.body_vertices, contact.body_triangles, moved, dt
             )
         done += 1
+        if contact.body_way > 0.0 and done < count and not spent:
+            carry_body(contacts, contact, dt)
     by_particle(work.x, x)
     by_particle(work.v, v)
     return done

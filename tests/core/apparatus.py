@@ -257,7 +257,7 @@ def no_contact() -> ContactSettings:
     """Nothing to collide with."""
     return ContactSettings(
         active=False, body_vertices=np.zeros((0, 3)), body_velocity=np.zeros((0, 3)),
-        body_triangles=np.zeros((0, 3), dtype=np.int32), offset=0.0, friction=0.0, push_speed=0.0,
+        body_triangles=np.zeros((0, 3), dtype=np.int32), body_way=0.0, offset=0.0, friction=0.0, push_speed=0.0,
     )  # fmt: skip
 
 

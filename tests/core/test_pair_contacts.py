@@ -74,7 +74,7 @@ def test_impulses_are_those_of_sweeping_over_the_contacts_one_by_one(seed: int, 
     x += DT * v
     start_x, start_v = x.copy(), v.copy()
     moved = ((x - state.origin.T) ** 2).sum(axis=1)
-    hold_pairs(x, v, inverse_mass, state.pairs, NOTHING, NOTHING, friction, PUSH_SPEED, DT, moved)
+    hold_pairs(x, v, inverse_mass, state.pairs, NOTHING, NOTHING, 0.0, friction, PUSH_SPEED, DT, moved)
     impulse = plainly_held(start_x, start_v, inverse_mass, state.pairs, friction)
     assert np.count_nonzero(impulse) > 10
     np.testing.assert_allclose(v, start_v, rtol=1e-9, atol=1e-12)
@@ -94,7 +94,7 @@ def tip_above_a_face(height: float) -> tuple[Floats, Floats, PairContacts]:
 
 
 def hold(x: Floats, inverse_mass: Floats, pairs: PairContacts) -> None:
-    hold_pairs(x, np.zeros_like(x), inverse_mass, pairs, NOTHING, NOTHING, 0.0, PUSH_SPEED, DT, np.full(6, 1e-4))
+    hold_pairs(x, np.zeros_like(x), inverse_mass, pairs, NOTHING, NOTHING, 0.0, 0.0, PUSH_SPEED, DT, np.full(6, 1e-4))
 
 
 def test_what_is_too_near_and_free_comes_out_exponentially() -> None:
