@@ -36,6 +36,16 @@ The search for contacts took more than everything else as long as all particles 
 its own, in proportion to its speed, they are used up at the same time (processor seconds, before and after, same load:
 trousers at 2 cm 10.2 and 5.9; sheet on the sphere, 64 x 64, 9.0 and 4.5; with self contact 43 and 21).
 
+Where cloth meets a body alone, radii look two triangles ahead, since what is next to something fast will soon be fast:
+126 searches of everything instead of 188 in scene B, 64 x 64, and a tenth less time (3.8 and 4.2 s of processor time
+for the 2 s, in turn, under load). Beside contact of cloth with cloth it gains nothing, since lists grow.
+
+While a body moves, what it takes is searching. Its tree is refitted only where something is searched in it (T-shirt at
+3 cm on a body of 27,420 triangles, 0.1 s: 1.55 to 1.8 s of processor time, 3.3 to 3.8 before), and between two searches
+there are now about ten steps, each of which takes the body on (shifted by 5 cm in 0.5 s: 8.5 to 1.75 s; turned by 30
+degrees in 1 s: 12.8 to 3.7; 3 % larger within 0.3 s: 4.8 to 1.7; lifted at 1 m/s: 6.6 to 3.9). Nothing crosses in any
+of them; places differ by 0.007 to 3.7 mm (RMS), those after a start 1 um elsewhere by 0.1 to 3.2.
+
 Cloth that is smooth cannot touch itself, which its deformation gradients prove (`cloth_core/smooth_windows.py`): it is
 left out of the search for self contact, and may move by 16 to 64 mm between two searches instead of 6. Under the load
 of other processes, both times: the sheet of scene A, 64 x 64, with self contact 14.9 and 4 to 5 s of processor time per
