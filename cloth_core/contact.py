@@ -16,8 +16,6 @@ depend on contact, what rests stays at rest exactly, and nothing is ever pulled 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +23,7 @@ from cloth_core.axis_layout import particle_rows
 from cloth_core.body_contact import BodyContact, VertexPlanes, arm, carry_planes, hold_vertices, vertex_body_gaps
 from cloth_core.broad_phase import BroadPhase
 from cloth_core.closest_points import away_from_triangle, point_triangle
+from cloth_core.contact_state import ContactSettings, ContactState, Renewal
 from cloth_core.kernel import kernel
 from cloth_core.near_planes import (
     NEAR,
@@ -46,22 +45,9 @@ from cloth_core.pair_contacts import (
     repeat_impulses,
 )
 from cloth_core.self_contact import SelfContact
-from cloth_core.travel_renewal import (
-    BODY_TRAVEL,
-    CLOTH_TRAVEL,
-    NO_TRAVEL,
-    SPENT,
-    Renewal,
-)
+from cloth_core.travel_renewal import BODY_TRAVEL, CLOTH_TRAVEL, NO_TRAVEL, SPENT
 
-__all__ = [
-    "Contact",
-    "ContactSettings",
-    "ContactState",
-    "carry_body",
-    "keep_within_travel",
-    "resolve_contacts",
-]
+__all__ = ["Contact", "carry_body", "keep_within_travel", "resolve_contacts"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -69,55 +55,6 @@ Ints = NDArray[np.int32]
 # How far the fastest particle may move between two broad phases, if nobody says otherwise [m].
 _RADIUS = 0.006
 _NO_BODY = np.zeros((0, 3))
-
-
-class ContactState(NamedTuple):
-    """What one narrow phase found.
-
-    Attributes:
-        origin: positions at the narrow phase [m], (3, n).
-        travel: how far each particle may move from there [m], (n,).
-        planes: cloth vertices against body triangles.
-        pairs: everything else.
-        near: what bounds the direction of particles that nearly touch something.
-        renewal: what it takes to renew origin and travel of single particles.
-    """
-
-    origin: Floats
-    travel: Floats
-    planes: VertexPlanes
-    pairs: PairContacts
-    near: NearPlanes
-    renewal: Renewal
-
-    @classmethod
-    def none(cls) -> ContactState:
-        """State of a scene in which nothing can collide."""
-        return cls(
-            np.zeros((3, 0)), np.zeros(0), VertexPlanes.none(0), PairContacts.none(), NearPlanes.none(), Renewal.none()
-        )
-
-
-class ContactSettings(NamedTuple):
-    """Constants of the contact term.
-
-    Attributes:
-        active: whether there is anything to collide with.
-        body_vertices (b, 3) [m], body_velocity (b, 3) [m/s], body_triangles (t, 3): empty without a body.
-        body_way: how far a vertex of the body may go in steps that are done at once [m]; 0 while it stands, and then
-            body_vertices are never written to.
-        offset: distance of cloth vertices from the body [m].
-        friction: Coulomb coefficient; push_speed: fastest way out for what is too near [m/s].
-    """
-
-    active: bool
-    body_vertices: Floats
-    body_velocity: Floats
-    body_triangles: Ints
-    body_way: float
-    offset: float
-    friction: float
-    push_speed: float
 
 
 class Contact:

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.axis_layout import by_axis, by_particle
-from cloth_core.contact import ContactSettings, ContactState, keep_within_travel, resolve_contacts
+from cloth_core.contact import keep_within_travel, resolve_contacts
+from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.implicit_matrix import ImplicitMatrix, assemble, limit_forces
 from cloth_core.kernel import kernel
 from cloth_core.sparse_cholesky import factorise, solve

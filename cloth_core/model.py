@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cloth_core.bending import Bending, build_bending
 from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact, ContactSettings
+from cloth_core.contact import Contact
+from cloth_core.contact_state import ContactSettings
 from cloth_core.errors import SceneError
 from cloth_core.garment import Seam, merged_numbers
 from cloth_core.runs import find_runs

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import ContactSettings, ContactState
+from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.errors import SceneError, SimulationError
 from cloth_core.grasp import Grasps
 from cloth_core.implicit_matrix import build_matrix

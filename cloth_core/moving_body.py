@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_core.body import Body
 from cloth_core.closest_points import point_triangle
-from cloth_core.contact import ContactState
+from cloth_core.contact_state import ContactState
 from cloth_core.errors import BodyError
 from cloth_core.kernel import kernel
 from cloth_core.pair_contacts import PairContacts, measure_pair

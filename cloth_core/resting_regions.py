@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.contact import ContactState
+from cloth_core.contact_state import ContactState
 from cloth_core.kernel import kernel
 from cloth_core.lanes import LANES
 from cloth_core.model import Model

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from cloth_core.axis_layout import by_axis, by_particle, particle_rows
 from cloth_core.bending import bending_forces
-from cloth_core.contact import ContactSettings, ContactState, carry_body, keep_within_travel, resolve_contacts
+from cloth_core.contact import carry_body, keep_within_travel, resolve_contacts
+from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.kernel import kernel

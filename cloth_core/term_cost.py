@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from cloth_core.axis_layout import by_axis
 from cloth_core.bending import bending_forces
-from cloth_core.contact import ContactSettings, ContactState, resolve_contacts
+from cloth_core.contact import resolve_contacts
+from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
 from cloth_core.sewing import seam_forces
 from cloth_core.springs import spring_forces

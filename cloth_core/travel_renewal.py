@@ -11,27 +11,22 @@ phase would measure the pairs of all.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.axis_layout import particle_rows
 from cloth_core.body_contact import arm
 from cloth_core.closest_points import away_from_triangle, point_triangle
+from cloth_core.contact_state import ContactState, Renewal
 from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
-
-if TYPE_CHECKING:
-    from cloth_core.contact import ContactState
 
 __all__ = [
     "BODY_TRAVEL",
     "CLOTH_TRAVEL",
     "NO_TRAVEL",
     "SPENT",
-    "Renewal",
     "enough_of_radius",
     "pairs_of_particles",
     "renew_spent",
@@ -55,45 +50,6 @@ _ENOUGH = 0.001
 _ENOUGH_OF_RADIUS = 0.5
 # Of all particles this share at most is renewed at once, or this many: for more, a narrow phase is cheaper.
 _FEW, _FEW_OF_FEW = 0.1, 8
-
-
-class Renewal(NamedTuple):
-    """What a renewal needs to know of the last broad phase, and of how particles want to go.
-
-    Attributes:
-        broad_x: positions at the broad phase [m], (n, 3); radii: how far each may move from there [m], (n,).
-        radius: the largest of them [m].
-        way: of each particle's origin from broad_x, that of the body included [m], (n,); way_of_body: since then [m].
-        start, entries: the pairs of particle i are entries[start[i] : start[i + 1]].
-        place: of each pair in the list of those that count, -1 for the others, (s,).
-        waiting: room for the particles that are to be renewed, (n,).
-        turn: number of the present renewal, (1,); renewed: of that in which each particle was renewed last, (n,).
-        steps, least_reach: a particle wants to go as far as in so many steps, but at least so far [m].
-        least_room: a particle whose speed takes it farther than this in a step needs shorter steps [m].
-        allowed: whether single particles may be renewed.
-    """
-
-    broad_x: Floats
-    radii: Floats
-    radius: float
-    way: Floats
-    way_of_body: float
-    start: Ints
-    entries: Ints
-    place: Ints
-    waiting: Ints
-    turn: Ints
-    renewed: Ints
-    steps: float
-    least_reach: float
-    least_room: float
-    allowed: bool
-
-    @classmethod
-    def none(cls) -> Renewal:
-        """For a scene in which nothing can collide."""
-        floats, ints = np.zeros(0), np.zeros(0, dtype=np.int32)
-        return cls(np.zeros((0, 3)), floats, 0.0, floats, 0.0, ints, ints, ints, ints, ints, ints, 0.0, 0.0, 0.0, False)
 
 
 @kernel

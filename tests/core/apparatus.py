@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_core import contact
 from cloth_core.bending import Bending, bending_forces
 from cloth_core.body import Body
-from cloth_core.contact import ContactSettings, ContactState
+from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.pattern import Pattern

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cloth_core.contact import Contact, ContactState
+from cloth_core.contact import Contact
+from cloth_core.contact_state import ContactState
 from cloth_core.pair_contacts import PUSH_TIME, PairContacts, hold_pairs
 from cloth_core.self_contact import SelfContact
 

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from cloth_core.body import Body
 from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact, ContactState
+from cloth_core.contact import Contact
+from cloth_core.contact_state import ContactState
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
 from cloth_core.intersections import self_crossing_edges

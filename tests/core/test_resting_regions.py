@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from apparatus import body_of, crossings, pattern, rectangle, sheet
 
-from cloth_core.contact import ContactState
+from cloth_core.contact_state import ContactState
 from cloth_core.fabric import Fabric
 from cloth_core.grasp import Pose
 from cloth_core.model import Model

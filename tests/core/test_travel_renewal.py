@@ -12,7 +12,8 @@ from naive_geometry import edge_edge_distance, point_triangle_distance
 
 from cloth_core.body import Body
 from cloth_core.body_contact import BodyContact
-from cloth_core.contact import Contact, ContactState
+from cloth_core.contact import Contact
+from cloth_core.contact_state import ContactState
 from cloth_core.mesh_topology import unique_edges
 from cloth_core.near_planes import NEAR
 from cloth_core.pair_contacts import CLOTH_VERTEX
