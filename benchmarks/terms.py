@@ -188,10 +188,13 @@ def regions() -> str:
         ("towel of 0.8 m on a table, one corner held up", towel(), (-0.1, -0.1, 0.12)),
         ("T-shirt, a sleeve held aside", tshirt(), (0.05, 0.0, 0.05)),
     ):
-        asleep, cost, x = held_aside(scene, way)
+        simulation = held_aside(scene, way)
+        asleep, cost, x = float(simulation.motion.asleep.mean()), step_cost(simulation), simulation.positions
+        simulation.motion.let_sleep(None)
+        whole_cost = step_cost(simulation)
         with all_awake():
-            _, whole_cost, reference = held_aside(scene, way)
-            _, _, nudged = held_aside(scene, way, nudge=1e-6)
+            reference = held_aside(scene, way).positions
+            nudged = held_aside(scene, way, nudge=1e-6).positions
         texts.append(
             f"{name} for a second: {100 * asleep:.0f} % asleep, a step {cost:.0f} us, with all awake {whole_cost:.0f}; "
             f"positions differ by {distance(x, reference)}, those of a run with all awake in which one particle was 1 "
@@ -210,12 +213,8 @@ def towel() -> Scene:
     return Scene(garment=replace(garment, start=flat), body=body, fabric=Fabric.preset("cotton_poplin"))
 
 
-def held_aside(scene: Scene, way: tuple[float, float, float], nudge: float = 0.0) -> tuple[float, float, np.ndarray]:
-    """Cloth at rest of which a gripper carries a corner off within a second, then holds it for another one.
-
-    Returns:
-        share that sleeps at the end; what a step takes then [us]; positions [m], (n, 3).
-    """
+def held_aside(scene: Scene, way: tuple[float, float, float], nudge: float = 0.0) -> Simulation:
+    """Cloth at rest of which a gripper has carried a corner off within a second, then held it for another one."""
     simulation = Simulation(scene)
     assert simulation.settle().settled
     simulation.advance(1.0)
@@ -228,7 +227,7 @@ def held_aside(scene: Scene, way: tuple[float, float, float], nudge: float = 0.0
         simulation.move_grasp("hand", Pose.of(corner + share**2 * (3.0 - 2.0 * share) * np.array(way)))
         simulation.advance(0.01)
     simulation.advance(1.0)
-    return float(simulation.motion.asleep.mean()), step_cost(simulation), simulation.positions
+    return simulation
 
 
 def distance(a: np.ndarray, b: np.ndarray) -> str:
