@@ -182,6 +182,7 @@ class Motion:
             elif (did < steps or folds == FOLDING) and self.model.contact is not None:
                 self._check_finite(good)
                 self.search_contacts()
+                self.look_at_regions()  # what sleeps may be hit before the next tick
         self._check_finite(good)
         if self.model.contact is not None and _any_beyond(self.moved, self.contacts.travel, SPENT):
             self.search_contacts()

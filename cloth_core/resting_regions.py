@@ -2,8 +2,9 @@
 
 A particle sleeps when it is still, and so is all that could pull or push it: its neighbours along two sides of the
 mesh, and what it touches. It has no velocity and takes no force, and what acts between sleeping particles is left out
-of the loops. The awake particles next to it wake it as soon as one of them is a micrometre from where it lay, and with
-it the neighbours around, so that a pull spreads as it would have.
+of the loops. What is awake next to it, along the mesh or near enough to touch it, wakes it as soon as that is a
+micrometre from where it lay, and with it the neighbours around, so that a pull spreads as it would have. What is let go
+wakes what is around it at once.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ _STILL, _WINDOW = 0.5e-6, 0.05
 _DISTURBED = 1e-6
 # Sides of the mesh over which elements reach, and over which what has been disturbed wakes others.
 _REACH, _WOKEN = 2, 8
+# Ends of windows at which what has been woken stays awake: in the first of them it slept for a part.
+_WARY = 2
 # Less than this share of the particles is not worth it.
 _LEAST_SHARE = 0.1
 
@@ -54,43 +57,63 @@ class RestingRegions:
         self._model = model
         self._watch = RestWatch(_STILL, _WINDOW, slowest, drag)
         self._watch.open(time, x)
-        self._guards: Ints = np.zeros(0, dtype=np.int32)
-        self._place: Floats = np.zeros((0, 3))
+        self._held: Bools = model.inverse_mass == 0.0
+        self._wary: Ints = np.zeros(len(x), dtype=np.int32)
+        # Who stands next to what sleeps, and where each particle was when that began, or else when the window did.
+        self._guards: Bools = np.zeros(len(x), dtype=bool)
+        self._place: Floats = x.copy()
         self._sleep(np.full(model.particle_count, asleep), x)
 
     def look(self, time: float, x: Floats, contacts: ContactState) -> bool:
         """Whether other particles sleep than before, now that they are at x (k, 3) [m] at a time [s]."""
-        disturbed = self._disturbed(x)
-        if self._watch.due(time):
-            restless = ~self._watch.still(time, x)
-            restless[disturbed] = True
-            self._touching(restless, contacts)
-            self._sleep(~self._grown(restless, _REACH), x)
-            return True
-        if len(disturbed) == 0:
+        disturbed, due = self._disturbed(x, contacts), self._watch.due(time)
+        woken = disturbed.any()
+        if not due and not woken:
             return False
-        woken = np.zeros_like(self.asleep)
-        woken[disturbed] = True
-        self._touching(woken, contacts)
-        self._sleep(self.asleep & ~self._grown(woken, _WOKEN), x)
+        asleep = self.asleep
+        if due:
+            restless = ~self._watch.still(time, x) | (self._wary > 0)
+            self._wary = np.maximum(self._wary - 1, 0)
+            self._touching(restless, contacts)
+            asleep = ~self._grown(restless, _REACH)
+        if woken:
+            self._touching(disturbed, contacts)
+            around = self._grown(disturbed, _WOKEN)
+            self._wary[around & (self.asleep | disturbed)] = _WARY
+            asleep = asleep & ~around
+        self._sleep(asleep, x, contacts)
+        if due:
+            self._place[~self._guards] = x[~self._guards]
         return True
 
-    def _sleep(self, asleep: Bools, x: Floats) -> None:
-        asleep = asleep & (self._model.inverse_mass > 0.0)  # what is held goes where it is taken
+    def _sleep(self, asleep: Bools, x: Floats, contacts: ContactState | None = None) -> None:
+        asleep = asleep & ~self._held  # what is held goes where it is taken
         if asleep.mean() < _LEAST_SHARE:
             asleep[:] = False
         self.asleep = asleep
-        before, place = self._guards, self._place
-        self._guards = np.flatnonzero(self._grown(asleep, _REACH) & ~asleep).astype(np.int32)
-        self._place = x[self._guards]
+        guards = self._grown(asleep, _REACH)
+        if contacts is not None:
+            beside = asleep.copy()
+            self._touching(beside, contacts)
+            guards |= beside
+        guards &= ~asleep
         # Who goes on standing guard is still compared with where it lay at first, so that it cannot creep away.
-        stays = np.isin(self._guards, before)
-        self._place[stays] = place[np.searchsorted(before, self._guards[stays])]
+        new = guards & ~self._guards
+        self._place[new] = x[new]
+        self._guards = guards
 
-    def _disturbed(self, x: Floats) -> Ints:
-        way = ((x[self._guards] - self._place) ** 2).sum(axis=1)
-        taken_hold_of = np.flatnonzero(self.asleep & (self._model.inverse_mass == 0.0))
-        return np.concatenate([self._guards[way > _DISTURBED**2], taken_hold_of.astype(np.int32)])
+    def _disturbed(self, x: Floats, contacts: ContactState) -> Bools:
+        """Which particles shall wake what is around them, (k,)."""
+        held = self._model.inverse_mass == 0.0
+        disturbed: Bools = (self.asleep & held) | (self._held & ~held)
+        self._held = held
+        if self.asleep.any():
+            guards = np.flatnonzero(self._guards)
+            way = ((x[guards] - self._place[guards]) ** 2).sum(axis=1)
+            disturbed[guards[way > _DISTURBED**2]] = True
+            pairs = contacts.pairs
+            _find_comers(pairs.particles, pairs.listed[: pairs.listed_count[0]], self.asleep, x, self._place, disturbed)
+        return disturbed
 
     def _grown(self, chosen: Bools, rings: int) -> Bools:
         grown = chosen.copy()
@@ -108,6 +131,28 @@ class RestingRegions:
         there = members >= 0
         met = (chosen[members] & there).any(axis=1)
         chosen[members[met][there[met]]] = True
+
+
+@kernel
+def _find_comers(particles: Ints, listed: Ints, asleep: Bools, x: Floats, place: Floats, disturbed: Bools) -> None:
+    """Note in disturbed (k,) who has moved and may touch what sleeps; particles (s, 4), -1 for none, of those listed.
+
+    x: where they are; place: where they were when the window began, or later [m], (k, 3).
+    """
+    for entry in range(listed.shape[0]):
+        s = listed[entry]
+        sleeps = False
+        for k in range(4):
+            i = particles[s, k]
+            sleeps = sleeps or (i >= 0 and asleep[i])
+        if not sleeps:
+            continue
+        for k in range(4):
+            i = particles[s, k]
+            if i >= 0 and not asleep[i]:
+                dx, dy, dz = x[i, 0] - place[i, 0], x[i, 1] - place[i, 1], x[i, 2] - place[i, 2]
+                if dx * dx + dy * dy + dz * dz > _DISTURBED * _DISTURBED:
+                    disturbed[i] = True
 
 
 def awake_terms(terms: ForceTerms, asleep: Bools) -> ForceTerms:

@@ -215,3 +215,80 @@ def test_neighbours_that_creep_wake_what_sleeps():
     slept = wakes.index(max(wakes))
     assert min(wakes[slept:]) < 0.9 * max(wakes)
     assert not regions.asleep[left].any()
+
+
+def windows(regions: RestingRegions, time: float, x, contacts, count: int) -> float:
+    """Lets so many windows pass in which nothing moves; the time then [s]."""
+    for _ in range(count):
+        time += 0.051
+        regions.look(time, x, contacts)
+    return time
+
+
+def test_what_is_let_go_shortly_before_a_window_ends_stays_awake():
+    """Until then it has hardly begun to fall, which looks as if it lay still."""
+    scene = towel()
+    model = Model(scene)
+    x = scene.garment.start.copy()
+    held = x[:, 0] > 0.2
+    model.inverse_mass[held] = 0.0
+    nothing = ContactState.none()
+    regions = RestingRegions(model, 0.0, x, slowest=2.0, drag=0.0)
+    time = windows(regions, 0.0, x, nothing, 5)
+    np.testing.assert_array_equal(regions.asleep, ~held)
+    model.inverse_mass[held] = 1.0 / model.mass[held]
+    regions.look(time + 0.0499, x, nothing)
+    x[held, 2] -= 1e-8
+    regions.look(time + 0.0501, x, nothing)
+    assert not regions.asleep[x[:, 0] > 0.1].any()  # with the neighbours around
+    windows(regions, time + 0.0501, x, nothing, 5)
+    assert regions.asleep.all()
+
+
+def sheet_and_patch(**changes) -> Scene:
+    """A sheet and, 5 cm beside it, a patch half as wide."""
+    panels = {"sheet": rectangle(0.3, 0.3, at=(0, 0, 0)), "patch": rectangle(0.15, 0.15, at=(0, 0, 0.05))}
+    return Scene.build(pattern(panels, []), None, POPLIN, settings=Settings(spacing=0.03), **changes)
+
+
+def test_what_creeps_along_sleeping_cloth_that_it_touches_wakes_it():
+    scene = sheet_and_patch()
+    model = Model(scene)
+    x = scene.garment.start.copy()
+    patch = scene.garment.panel_of_particle == 1
+    x[patch, 1] += 0.0485  # 1.5 mm apart
+    model.inverse_mass[patch] = 0.0
+    assert model.contact is not None
+    contacts = model.contact.search(x, 0.002)
+    assert contacts.pairs.listed_count[0] > 0
+    regions = RestingRegions(model, 0.0, x, slowest=2.0, drag=0.0)
+    time = windows(regions, 0.0, x, contacts, 5)
+    np.testing.assert_array_equal(regions.asleep, ~patch)
+    woken = 0
+    for _ in range(60):
+        x[patch, 1] += 0.04e-6  # less than a tenth of what counts as still
+        time = windows(regions, time, x, contacts, 1)
+        woken += not regions.asleep.any()
+    assert 2 <= woken <= 20
+
+
+def test_sleeping_cloth_that_other_cloth_runs_into_gives_way_at_once(monkeypatch):
+    ends, slept = [], []
+    for awake in (False, True):
+        with monkeypatch.context() as patch:
+            if awake:
+                all_awake(patch)
+            simulation = Simulation(sheet_and_patch(air_drag=4.0))
+            x, on_sheet = simulation.positions, simulation.scene.garment.panel_of_particle == 0
+            simulation.grasp("rail", np.flatnonzero(on_sheet & (x[:, 2] > 0.14)), Pose.of(np.zeros(3)))
+            simulation.grasp("hand", np.flatnonzero(~on_sheet), Pose.of(np.zeros(3)))
+            assert simulation.settle().settled
+            simulation.advance(4.23)
+            slept.append(bool(simulation.motion.asleep[simulation.model.number[on_sheet]].mean() > 0.9))
+            before = simulation.positions
+            simulation.move_grasp("hand", Pose.of([0.0, 0.25, 0.0]))
+            simulation.advance(0.09)
+            ends.append(simulation.positions)
+    assert slept == [True, False]
+    assert np.linalg.norm(ends[1] - before, axis=1)[on_sheet].max() > 0.01  # it has been hit
+    assert np.linalg.norm(ends[0] - ends[1], axis=1).max() < 1e-3
