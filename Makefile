@@ -24,8 +24,8 @@ demo: $(VENV)/ros.done
 	@$(BIN)/python -m cloth_sim_ros.demo --output demo
 
 test: $(VENV)/test.done
-	@echo "==> tests"
-	@$(BIN)/python -m pytest
+	@echo "==> tests, in two processes"
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadgroup
 
 lint: $(VENV)/test.done
 	@echo "==> format (ruff)"

@@ -27,6 +27,7 @@ TEST = [
     # The suite as such.
     "hypothesis>=6.100",
     "pytest>=8.0",
+    "pytest-xdist>=3.5",
     # Independent truths: other people's readers of logs, another DDS stack, crossings, curves, and what trimesh needs.
     "cyclonedds>=11.0; platform_machine == 'x86_64'",  # has wheels for nothing else
     "libigl>=2.6",
