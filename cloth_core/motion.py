@@ -169,6 +169,7 @@ class Motion:
                 # Parts that were left out of the search may have met: back, and once more with them.
                 self.x, self.v = before_steps.x, before_steps.v
                 self.search_contacts()
+                self.look_at_regions()
                 continue
             done += did
             self.steps += did
@@ -215,14 +216,16 @@ class Motion:
     def let_sleep(self, regions: RestingRegions | None) -> None:
         """Step only what is awake of the model's particles from now on; None: all of them."""
         self.regions = regions
-        self.look_at_regions()
-        self._take_terms()
+        self._stop_what_sleeps()
 
     def look_at_regions(self) -> None:
         """See whether regions have come to lie still, or are disturbed."""
         if self.regions is not None and self.regions.look(self.time, self.x, self.contacts):
-            self.v[self.regions.asleep] = 0.0
-            self._take_terms()
+            self._stop_what_sleeps()
+
+    def _stop_what_sleeps(self) -> None:
+        self.v[self.asleep] = 0.0
+        self._take_terms()
 
     @property
     def asleep(self) -> Bools:

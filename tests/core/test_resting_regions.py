@@ -95,6 +95,7 @@ def test_what_sleeps_follows_when_the_corner_pulls_the_towel_away(monkeypatch):
                 all_awake(patch)
             simulation = rested(towel())
             asleep.append(simulation.motion.asleep.mean())
+            assert (simulation.motion.v[simulation.motion.asleep] == 0.0).all()
             start = take_the_corner(simulation)
             before = simulation.positions
             carry(simulation, start, [0.1, 0.1, 0.0], 1.0)
