@@ -135,7 +135,7 @@ def growth(n: int) -> dict[str, Any]:
         "particles": n * n,
         "step_us": step_microseconds(simulation, 8),
         "stable_step_us": microseconds(
-            lambda: simulation.model.stable_step(simulation.motion.x, 0.0, simulation.stable.mode, 1e-2), blocks=3
+            lambda: simulation.motion.estimate_stable_step(simulation.stable.mode, 1e-2), blocks=3
         ),
         "build_s": built,
         "time_step": simulation.time_step,
@@ -164,7 +164,7 @@ def kernels(simulation: Simulation) -> dict[str, float]:
         "twist": microseconds(lambda: twist_forces(w.ahead, t.twists, w.force)),
         "gravity": microseconds(lambda: gravity_forces(t.mass, t.gravity, w.force)),
         "Euler": microseconds(lambda: semi_implicit_euler(w.x, w.v, w.force, 0.0 * t.inverse_mass, dt)),
-        "strain limit": microseconds(lambda: hold_strain(x, v, t.inverse_mass, t.spring_pairs, limit, dt)),
+        "strain limit": microseconds(lambda: hold_strain(x, v, t.inverse_mass, limit, dt)),
     }
     if not s.motion.contact_settings.active:  # where there is contact it returns early on a copy whose way is used up
         result = {"step": step_microseconds(s), **result}

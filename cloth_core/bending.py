@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
-from cloth_core.garment import Garment
+from cloth_core.garment import Garment, renumbered
 from cloth_core.kernel import kernel
 from cloth_core.lanes import LANES, add_to, fill, fused, last_lane, last_lanes, load, take_from, together
 from cloth_core.runs import Runs, find_runs
@@ -99,18 +99,18 @@ def build_bending(garment: Garment, fabric: Fabric, number: Ints) -> Bending:
     line_index = np.concatenate(lines) if lines else np.zeros((0, 3), dtype=np.int32)
     line_stiffness = np.concatenate(stiffness) if stiffness else np.zeros(0)
 
-    hinge, sides = hinges(np.asarray(number[garment.triangles], dtype=np.int32))
+    hinge, sides = hinges(renumbered(garment.triangles, number))
     same_panel = garment.panel_of_triangle[sides[:, 0]] == garment.panel_of_triangle[sides[:, 1]]
     in_grid = garment.in_quad[sides].all(axis=1) & same_panel
     hinge, sides = hinge[~in_grid], sides[~in_grid]
     weights, hinge_stiffness = _hinge_elements(garment, hinge, sides, number, fabric.bending)
     return Bending(
-        lines=np.asarray(number[line_index], dtype=np.int32),
+        lines=renumbered(line_index, number),
         line_stiffness=line_stiffness,
         hinges=hinge,
         hinge_weights=weights,
         hinge_stiffness=hinge_stiffness,
-        cells=np.asarray(number[garment.quads], dtype=np.int32),
+        cells=renumbered(garment.quads, number),
         twist_stiffness=twist_stiffness(garment, fabric.bending),
     )
 

@@ -17,6 +17,7 @@ from cloth_core.mesh_topology import Representatives
 from cloth_core.near_distances import point_triangle_distances, segment_distances
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
 from cloth_core.pair_list import doubled, write_pair
+from cloth_core.reachable_tree import ReachableTree
 
 __all__ = ["BodyContact", "VertexPlanes", "arm", "hold_vertices", "vertex_body_gaps"]
 
@@ -113,11 +114,15 @@ class BodyContact:
     Args:
         body: the obstacle.
         offset: distance at which cloth vertices are held from the body [m].
+
+    Attributes:
+        reachable: the part of the body's tree that is searched.
     """
 
     def __init__(self, body: Body, offset: float) -> None:
         self.body = body
         self.offset = offset
+        self.reachable = ReachableTree()
         self.side_offset = _SIDE_OFFSET_SHARE * offset
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
         self._boxes: tuple[Floats, Floats] | None = None
@@ -137,7 +142,8 @@ class BodyContact:
             the vertex pairs; the other pairs as rows (s, 7), their offsets (s,) and distances (s,) [m].
         """
         most = _MOST_PAIRS + _PAIRS_PER_TRIANGLE * (len(triangles) + len(self.body.triangles))
-        found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
+        body_tree = self.reachable.of(self.body.tree, tree.lower[0], tree.upper[0])
+        found = overlapping_pairs(body_tree, tree, self._leaf_pairs, most)
         if found > most:
             raise SceneError(
                 f"body '{self.body.name}': too many of its triangles lie at the same place, more than {most} pairs "
@@ -145,7 +151,7 @@ class BodyContact:
             )
         if found > len(self._leaf_pairs):
             self._leaf_pairs = np.zeros((found + found // 4, 2), dtype=np.int32)
-            found = overlapping_pairs(self.body.tree, tree, self._leaf_pairs, most)
+            found = overlapping_pairs(body_tree, tree, self._leaf_pairs, most)
         body = self.body
         body_x, own = body.vertices, body.representatives
         margin = np.ascontiguousarray(np.broadcast_to(self.side_offset + radius, len(x)))

@@ -16,7 +16,7 @@ from cloth_core.panel_mesh import PanelMesh, mesh_panel, smallest_angles
 from cloth_core.pattern import Panel, Pattern
 from cloth_core.smooth_windows import Windows, windows_of
 
-__all__ = ["Garment", "Seam", "merged_numbers"]
+__all__ = ["Garment", "Seam", "merged_numbers", "renumbered"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -256,6 +256,12 @@ def _match(pattern: Pattern, meshes: dict[str, PanelMesh], first: dict[str, int]
         b = b[::-1]
     name = " - ".join(f"panel '{s.panel}', edge {s.edge}" for s in sides)
     return Seam(name, a.astype(np.int32), np.ascontiguousarray(b, dtype=np.int32))
+
+
+def renumbered(index: Ints, number: Ints) -> Ints:
+    """`number[index]` for an index of any shape into sewn numbers (n,); the index itself where nothing is sewn."""
+    nothing_sewn = int(number.max()) + 1 == len(number)
+    return np.asarray(index if nothing_sewn else number[index], dtype=np.int32)
 
 
 def merged_numbers(count: int, seams: tuple[Seam, ...]) -> Ints:

@@ -270,13 +270,12 @@ class _Springs:
 
 
 def _springs_at(model: Model, held: Ints) -> _Springs:
-    pairs, longest = model.springs.pairs, model.strain_limit.longest
-    if len(longest) == 0:  # the limit is switched off: nothing holds a gripper back
-        longest = np.full(len(pairs), np.inf)
+    # None if the limit is switched off: nothing holds a gripper back then.
+    pairs, longest = model.strain_limit.pairs, model.strain_limit.longest
     place = np.full(model.particle_count, -1, dtype=np.int32)
     place[held] = np.arange(len(held))
     ends = place[pairs] >= 0
-    chosen = np.flatnonzero((ends[:, 0] != ends[:, 1]) & np.isfinite(longest))
+    chosen = np.flatnonzero(ends[:, 0] != ends[:, 1])
     own = np.where(ends[chosen, 0], pairs[chosen, 0], pairs[chosen, 1])
     other = np.where(ends[chosen, 0], pairs[chosen, 1], pairs[chosen, 0])
     return _Springs(own, place[own], other, longest[chosen])

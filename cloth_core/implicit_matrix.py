@@ -20,6 +20,7 @@ from cloth_core.kernel import inlined_kernel, kernel
 from cloth_core.sparse_cholesky import SparseCholesky, analyse
 from cloth_core.springs import Springs
 from cloth_core.step import ForceTerms
+from cloth_core.strain_limit import StrainLimit, limited_springs
 from cloth_core.twist import TWIST_WEIGHTS
 
 __all__ = ["ImplicitMatrix", "assemble", "build_matrix", "limit_forces"]
@@ -41,8 +42,8 @@ class ImplicitMatrix(NamedTuple):
     Attributes:
         links: pairs of particles that anything connects, (l, 2).
         bend, bend_own: what bending, whose stiffness is constant, adds to each link (l,) and particle (n,) [N/m].
-        spring_link: link of each spring, (s,).
-        rest_length, stiffness: of the springs [m, N/m], (s,).
+        spring_pairs, spring_link: ends and link of each spring, (s, 2) and (s,).
+        rest_length, longest, stiffness: of the springs [m, m, N/m], (s,); longest is inf for those without a limit.
         cells: corners in turn of those that resist shear, (q, 4); cell_stiffness: how much [N/m], (q,).
         cell_links: of the sides ab, bc, cd, da and the diagonals ac, bd of each cell, (q, 6).
         factors: of the matrix.
@@ -51,8 +52,10 @@ class ImplicitMatrix(NamedTuple):
     links: Ints
     bend: Floats
     bend_own: Floats
+    spring_pairs: Ints
     spring_link: Ints
     rest_length: Floats
+    longest: Floats
     stiffness: Floats
     cells: Ints
     cell_stiffness: Floats
@@ -61,35 +64,44 @@ class ImplicitMatrix(NamedTuple):
 
 
 def build_matrix(
-    particles: int, springs: Springs, bending: Bending | None, trellis: Ints, trellis_stiffness: Floats
+    particles: int,
+    springs: Springs,
+    limit: StrainLimit,
+    bending: Bending,
+    trellis: Ints,
+    trellis_stiffness: Floats,
 ) -> ImplicitMatrix:
     """Find the places of all elements; trellis (q, 4): cells that resist shear, trellis_stiffness (q,) [N/m]."""
     own = np.zeros(particles)
     pairs, bends = [springs.pairs], [np.zeros(len(springs))]
-    if bending is not None:
-        line_weights = np.tile([1.0, -2.0, 1.0], (len(bending.lines), 1))
-        for index, weights, stiffness in (
-            (bending.lines, line_weights, bending.line_stiffness),
-            (bending.hinges, bending.hinge_weights, bending.hinge_stiffness),
-            (bending.cells, np.tile(TWIST_WEIGHTS, (len(bending.cells), 1)), bending.twist_stiffness),
-        ):
-            for a in range(index.shape[1]):
-                own += np.bincount(index[:, a], weights=stiffness * weights[:, a] ** 2, minlength=particles)
-                for b in range(a):
-                    pairs.append(index[:, [a, b]])
-                    bends.append(stiffness * weights[:, a] * weights[:, b])
+    line_weights = np.tile([1.0, -2.0, 1.0], (len(bending.lines), 1))
+    for index, weights, stiffness in (
+        (bending.lines, line_weights, bending.line_stiffness),
+        (bending.hinges, bending.hinge_weights, bending.hinge_stiffness),
+        (bending.cells, np.tile(TWIST_WEIGHTS, (len(bending.cells), 1)), bending.twist_stiffness),
+    ):
+        for a in range(index.shape[1]):
+            own += np.bincount(index[:, a], weights=stiffness * weights[:, a] ** 2, minlength=particles)
+            for b in range(a):
+                pairs.append(index[:, [a, b]])
+                bends.append(stiffness * weights[:, a] * weights[:, b])
     sides = [trellis[:, ends] for ends in _CELL_LINKS]
     both = np.sort(np.concatenate([*pairs, *sides]), axis=1).astype(np.int64)
     unbent = len(both) - sum(len(b) for b in bends)
     bends.append(np.zeros(unbent))
     key, link = np.unique(both[:, 0] * particles + both[:, 1], return_inverse=True)
     links = np.stack([key // particles, key % particles], axis=1).astype(np.int32)
+    longest = np.full(len(springs), np.inf)
+    if len(limit.longest) > 0:
+        longest[limited_springs(springs)] = limit.longest
     return ImplicitMatrix(
         links=links,
         bend=np.bincount(link, weights=np.concatenate(bends), minlength=len(key)).astype(np.float64),
         bend_own=own,
+        spring_pairs=springs.pairs,
         spring_link=link[: len(springs)].astype(np.int32),
         rest_length=springs.rest_length,
+        longest=longest,
         stiffness=springs.stiffness,
         cells=trellis,
         cell_stiffness=trellis_stiffness,
@@ -118,9 +130,8 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> 
         i, j = matrix.links[k, 0], matrix.links[k, 1]
         if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
             _add(values, factors.off_diagonal[k], factors.off_diagonal_stride[k], scale * matrix.bend[k])
-    limited = terms.strain_limit.longest.shape[0] > 0
     for s in range(matrix.spring_link.shape[0]):
-        i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
+        i, j = matrix.spring_pairs[s, 0], matrix.spring_pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         squared = dx * dx + dy * dy + dz * dz
         if squared < _COINCIDENT:
@@ -128,8 +139,8 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> 
         length = np.sqrt(squared)
         across = max(1.0 - matrix.rest_length[s] / length, 0.0)
         along = 1.0 - across
-        if limited and length > terms.strain_limit.longest[s]:
-            beyond = 1.0 - terms.strain_limit.longest[s] / length
+        if length > matrix.longest[s]:
+            beyond = 1.0 - matrix.longest[s] / length
             across += _STIFFER * beyond
             along += _STIFFER * (1.0 - beyond)
         along = (along * h * h + terms.spring_damping_time * h) * matrix.stiffness[s] / squared
@@ -143,13 +154,13 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> 
 
 
 @kernel
-def limit_forces(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, force: Floats) -> None:
+def limit_forces(matrix: ImplicitMatrix, x: Floats, force: Floats) -> None:
     """Add the additional pull of springs beyond their strain limit; x (n, 3) [m], force (3, n) [N]."""
-    for s in range(terms.strain_limit.longest.shape[0]):
-        i, j = terms.spring_pairs[s, 0], terms.spring_pairs[s, 1]
+    for s in range(matrix.longest.shape[0]):
+        i, j = matrix.spring_pairs[s, 0], matrix.spring_pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         squared = dx * dx + dy * dy + dz * dz
-        longest = terms.strain_limit.longest[s]
+        longest = matrix.longest[s]
         if squared > longest * longest:
             pull = _STIFFER * matrix.stiffness[s] * (1.0 - longest / np.sqrt(squared))
             for axis, d in ((0, dx), (1, dy), (2, dz)):

@@ -218,7 +218,7 @@ def _newton(work: Workspace, terms: ForceTerms, h: float, state: ImplicitState) 
     if not factorise(factors):
         return np.inf
     total_force(trial_x, trial_v, terms, 0.0, work)
-    limit_forces(state.matrix, trial_x, terms, work.force)
+    limit_forces(state.matrix, trial_x, work.force)
     for i in range(trial_x.shape[0]):
         held = terms.inverse_mass[i] == 0.0
         for axis in range(3):

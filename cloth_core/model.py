@@ -13,7 +13,7 @@ from cloth_core.body_contact import BodyContact
 from cloth_core.contact import Contact
 from cloth_core.contact_state import ContactSettings
 from cloth_core.errors import SceneError
-from cloth_core.garment import Seam, merged_numbers
+from cloth_core.garment import Seam, merged_numbers, renumbered
 from cloth_core.runs import find_runs
 from cloth_core.scene import Scene
 from cloth_core.self_contact import SelfContact
@@ -74,7 +74,7 @@ class Model:
         mass, inverse_mass: [kg, 1/kg], shape (k,); the inverse is 0 for what is held.
         triangles: in model particles, shape (m, 3).
         softness: what the structural springs' stiffness is multiplied by, 1 unless a run looks for rest.
-        springs, bending, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
+        springs, seam_pull, contact: the terms' arrays; None or empty where the scene does not need them.
         trellis, trellis_stiffness: cells that resist shear as such, shape (q, 4), and how much [N/m], shape (q,).
         terms: all terms, with the reason why each is there or not.
     """
@@ -89,7 +89,7 @@ class Model:
         self.sewing = sewing
         self.number = merged_numbers(garment.particle_count, closed)
         self.particle_count = int(self.number.max()) + 1
-        self.triangles = np.asarray(self.number[garment.triangles], dtype=np.int32)
+        self.triangles = renumbered(garment.triangles, self.number)
         self.mass = np.bincount(
             self.number, weights=garment.particle_areas * fabric.area_density, minlength=self.particle_count
         ).astype(np.float64)
@@ -103,9 +103,8 @@ class Model:
             fabric = fabric.smoothed
         self._fabric = fabric
         self.springs: Springs = build_springs(garment, fabric).renumbered(self.number)
-        self.bending: Bending | None = build_bending(garment, fabric, self.number) if fabric.bending > 0.0 else None
         cells = slice(None) if fabric.shear > 0.0 else slice(0)
-        self.trellis: Ints = np.asarray(self.number[garment.quads[cells]], dtype=np.int32)
+        self.trellis: Ints = renumbered(garment.quads[cells], self.number)
         self.trellis_stiffness: Floats = trellis_stiffness(garment, fabric.shear)[cells]
         self._trellis_runs = find_runs(self.trellis, self.trellis_stiffness[:, None])
         self.softness = 1.0
@@ -113,8 +112,10 @@ class Model:
         self._soft_stiffness: Floats | None = None
         self._runs = self.springs.runs(self._stiffness)
         self._spring_runs = self._runs.mixed(1.0)
-        bending = _NO_BENDING if self.bending is None else self.bending
+        bending = self.bending
+        self._bending_count = len(bending)
         self._line_runs, self._twist_runs = bending.line_runs(), bending.twist_runs()
+        self._hinges = (bending.hinges, bending.hinge_weights, bending.hinge_stiffness)
         self._pulled = garment.seams if sewing else held
         self.seam_pull: SeamPull | None = self._pull(1.0) if self._pulled else None
         self.strain_limit = (
@@ -134,6 +135,13 @@ class Model:
             farthest = _BODY_SEARCH_RADIUS if body is not None else math.inf
             self.contact = Contact(self.triangles, body, cloth, radius, farthest)
         self.terms = marked_off(self._terms(closed), without)
+
+    @property
+    def bending(self) -> Bending:
+        """The bending elements, made anew: steps take them as runs."""
+        if self._fabric.bending == 0.0:
+            return _NO_BENDING
+        return build_bending(self.scene.garment, self._fabric, self.number)
 
     def soften(self, softness: float) -> None:
         """Multiply the structural stiffness by softness (0 to 1), but not to below twice that of the shear springs.
@@ -167,7 +175,6 @@ class Model:
 
     def force_terms(self, air_drag: float) -> ForceTerms:
         """The force terms' arrays; air_drag k_a [1/s] is the scene's, or more while a run only looks for rest."""
-        bend = self.bending if self.bending is not None else _NO_BENDING
         gravity = np.zeros(3) if self.sewing else np.array(self.scene.gravity)
         return ForceTerms(
             mass=self.mass,
@@ -179,12 +186,11 @@ class Model:
             trellis=self._trellis_runs,
             lines=self._line_runs,
             twists=self._twist_runs,
-            hinges=bend.hinges,
-            hinge_weights=bend.hinge_weights,
-            hinge_stiffness=bend.hinge_stiffness,
+            hinges=self._hinges[0],
+            hinge_weights=self._hinges[1],
+            hinge_stiffness=self._hinges[2],
             bending_damping_time=self.scene.fabric.bending_damping_time,
             seam=self.seam_pull if self.seam_pull is not None else _NO_SEAMS,
-            spring_pairs=self.springs.pairs,
             strain_limit=self.strain_limit,
         )
 
@@ -248,7 +254,6 @@ class Model:
         seams = scene.garment.seams
         open_seams = len(seams) - len(closed)
         free = self.particle_count - len(np.unique(self.number[scene.pins]))
-        bending = len(self.bending) if self.bending is not None else 0
         body = len(scene.body.triangles) if scene.body is not None else 0
 
         layers = len(self.triangles) if self.contact is not None and self.contact.cloth is not None else 0
@@ -278,7 +283,7 @@ class Model:
                 "no seam is open",
             ),
             term(
-                "bending", self.bending is not None, bending,
+                "bending", fabric.bending > 0.0, self._bending_count,
                 f"{fabric.bending:g} N m", "the fabric has no bending stiffness",
             ),
             term(

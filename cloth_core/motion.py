@@ -125,15 +125,15 @@ class Motion:
         self.moved = np.zeros(len(self.x))
         self.implicit = None
         if self.scene.settings.integrator == "implicit":
-            matrix = build_matrix(len(self.x), model.springs, model.bending, model.trellis, model.trellis_stiffness)
+            matrix = build_matrix(
+                len(self.x), model.springs, model.strain_limit, model.bending, model.trellis, model.trellis_stiffness
+            )
             self.implicit = ImplicitState.of(matrix, garment.spacing)
         model.soften(softness)
         self.contact_settings = model.contact_settings()
         if self.body_motion is not None:
             self.contact_settings = self.contact_settings._replace(body_velocity=self.body_motion.velocity)
-        self.work = Workspace.of(0)  # so that the old one takes no room meanwhile
-        self.stable = model.stable_step(self.x, self.air_drag)
-        self.work = Workspace.of(len(self.x))
+        self.estimate_stable_step()
         self.contacts = ContactState.none()
         self._flight_step = math.inf
         self._impulse_step = 1.0
@@ -196,7 +196,7 @@ class Motion:
     def refresh_time_step(self, estimate: bool = True, tolerance: float = 1e-2) -> None:
         """Take the terms from the model, and the time step from a new estimate, or from the last one."""
         if estimate:
-            self.stable = self.model.stable_step(self.x, self.air_drag, self.stable.mode, tolerance)
+            self.estimate_stable_step(self.stable.mode, tolerance)
         self._take_terms()
         longest = self.model.longest_step(self.stable)
         wanted = self.scene.settings.time_step
@@ -212,6 +212,12 @@ class Motion:
                     f"time step {wanted:g} s: longer than the stable {longest:g} s; cut into sub-steps"
                 )
         self._next_check = self.time + _CHECK_INTERVAL
+
+    def estimate_stable_step(self, mode: Floats | None = None, tolerance: float = 5e-4) -> None:
+        """Look for the largest stable time step, from a mode or from nothing."""
+        self.work = Workspace.of(0)  # its room is needed meanwhile
+        self.stable = self.model.stable_step(self.x, self.air_drag, mode, tolerance)
+        self.work = Workspace.of(len(self.x))
 
     def let_sleep(self, regions: RestingRegions | None) -> None:
         """Step only what is awake of the model's particles from now on; None: all of them."""

@@ -322,7 +322,7 @@ class Simulation:
         motion = self.motion
         count = motion.grasps.release(name, motion.model)
         # The last estimate knows nothing of what was held.
-        motion.stable = motion.model.stable_step(motion.x, motion.air_drag)
+        motion.estimate_stable_step()
         motion.refresh_time_step(estimate=False)
         self._wake()
         return count

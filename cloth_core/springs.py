@@ -30,7 +30,6 @@ from cloth_core.lanes import (
 )
 from cloth_core.runs import Runs, find_runs
 from cloth_core.trellis import trellis_stiffness
-from cloth_core.unique_rows import unique_rows
 
 __all__ = ["SpringFamily", "Springs", "build_springs", "spring_forces", "spring_strains"]
 
@@ -130,7 +129,7 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
     ]
     weft, warp = fabric.structural_weft * height / width / 2.0, fabric.structural_warp * width / height / 2.0
     stiffness = [weft, weft, warp, warp, diagonal, diagonal]
-    family = [np.full(len(a), f) for f in (0, 0, 0, 0, 1, 1)]
+    family = [np.full(len(a), f, dtype=np.int8) for f in (0, 0, 0, 0, 1, 1)]
 
     band = garment.triangles[~garment.in_quad]
     area = garment.areas[~garment.in_quad]
@@ -144,7 +143,7 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
         pairs.append(band[:, [i, j]])
         # One diagonal of a triangulated cell stands for the two of the grid; its area is half of its length squared.
         stiffness.append(area / squared * (structural * (1.0 - diagonality) + 4.0 * shear * diagonality))
-        family.append(np.where(diagonality > 0.5, SpringFamily.SHEAR, SpringFamily.STRUCTURAL))
+        family.append(np.where(diagonality > 0.5, SpringFamily.SHEAR, SpringFamily.STRUCTURAL).astype(np.int8))
 
     if fabric.bending_spring > 0.0:
         straight = np.concatenate([garment.rows[:, [0, 2]], garment.columns[:, [0, 2]]])
@@ -152,17 +151,18 @@ def build_springs(garment: Garment, fabric: Fabric) -> Springs:
         for extra in (straight, opposite):
             pairs.append(extra)
             stiffness.append(np.full(len(extra), fabric.bending_spring))
-            family.append(np.full(len(extra), SpringFamily.BENDING))
+            family.append(np.full(len(extra), SpringFamily.BENDING, dtype=np.int8))
 
-    all_pairs = np.concatenate(pairs).astype(np.int32)
-    all_stiffness = np.concatenate(stiffness)
+    all_pairs = np.concatenate(pairs).astype(np.int32, copy=False)
+    all_stiffness, all_families = np.concatenate(stiffness), np.concatenate(family)
+    del pairs, stiffness, family  # this is where a model takes most memory
     length = np.linalg.norm(rest[all_pairs[:, 0]] - rest[all_pairs[:, 1]], axis=1)
     # In the order in which they were put together: lattice, band, bending.
     lattice, band_end = 6 * len(garment.quads), 6 * len(garment.quads) + 3 * len(band)
     all_stiffness[lattice:band_end] *= _band_shares(garment, all_pairs[:band_end], all_stiffness[:band_end], lattice)
     if fabric.shear > 0.0:
         all_stiffness[4 * len(garment.quads) : lattice] *= fabric.shear_spring / shear
-    return _combined(all_pairs, length, all_stiffness, np.concatenate(family))
+    return _combined(all_pairs, length, all_stiffness, all_families)
 
 
 def _band_shares(garment: Garment, pairs: Ints, stiffness: Floats, lattice: int) -> Floats:
@@ -215,9 +215,14 @@ def _opposite_corners(garment: Garment) -> Ints:
 
 
 def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np.integer]) -> Springs:
-    ordered = np.sort(pairs, axis=1)
-    bending = np.asarray(family) == SpringFamily.BENDING  # a bending spring stays one, whatever it lies beside
-    key, _, inverse, _ = unique_rows(np.column_stack([ordered, bending]))
+    # Sorted by the lower particle, then by the other one; a bending spring stays one, whatever it lies beside.
+    count = int(pairs.max(initial=0)) + 1
+    key = pairs.min(axis=1, initial=count).astype(np.int64)
+    key *= count
+    key += pairs.max(axis=1, initial=0)
+    key *= 2
+    key += np.asarray(family) == SpringFamily.BENDING
+    key, inverse = np.unique(key, return_inverse=True)
     k = np.bincount(inverse, weights=stiffness, minlength=len(key)).astype(np.float64)
     weighted = np.bincount(inverse, weights=stiffness * length, minlength=len(key))
     plain = np.bincount(inverse, weights=length, minlength=len(key)) / np.bincount(inverse, minlength=len(key))
@@ -225,7 +230,8 @@ def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np
         rest_length = np.where(k > 0.0, weighted / k, plain)
     kind = np.zeros(len(key), dtype=np.int32)
     np.maximum.at(kind, inverse, np.asarray(family, dtype=np.int32))
-    return Springs(np.ascontiguousarray(key[:, :2], dtype=np.int32), rest_length, k, kind)
+    ends = np.stack(np.divmod(key // 2, count), axis=1)
+    return Springs(np.ascontiguousarray(ends, dtype=np.int32), rest_length, k, kind)
 
 
 @kernel

@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 Operator = Callable[[Floats], Floats]
 WeightedSum = Callable[[Floats, float, float], Floats]
 
-# Room for Lanczos' vectors [bytes].
-_KEPT_BYTES = 8_000_000
+# Room for Lanczos' vectors [bytes]; where there are more, none is kept.
+_KEPT_BYTES = 3_000_000
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ def largest_eigenpair(
     value, residual, weights = 0.0, math.inf, np.ones(1)
     kept: list[Floats] = []
     for k in range(iterations):
-        if 8 * size * (k + 1) <= _KEPT_BYTES:
+        if 8 * size * (k + 1) > _KEPT_BYTES:
+            kept.clear()
+        elif len(kept) == k:
             kept.append(recurrence.vector[:size].copy())
         recurrence.advance()
         alpha, beta = recurrence.alpha, recurrence.beta
@@ -193,11 +195,9 @@ def stable_time_step(
     for _ in range(8):
         # Along the mode found for this dt: dt^2 k + 2 dt c = 4. A new mode can only shorten the step; it settles fast.
         step = min(dt, 1e6)
-        value, mode = largest_eigenpair(
-            lambda u, s=step: both(u, s),  # type: ignore[misc]
-            _stirred(mode, stir),
-            tolerance,
-        )
+        before = _stirred(mode, stir)
+        del mode  # one vector less while memory is needed most
+        value, mode = largest_eigenpair(lambda u, s=step: both(u, s), before, tolerance)  # type: ignore[misc]
         if value <= 0.0:
             return StableStep(math.inf, 0.0, 0.0, mode)
         k, c = along(mode)

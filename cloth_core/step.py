@@ -49,7 +49,7 @@ class ForceTerms(NamedTuple):
         lines, twists, hinges (h, 4), hinge_weights (h, 4), hinge_stiffness (h,) [N/m]: bending elements.
         bending_damping_time: [s].
         seam: pull of the open seams.
-        spring_pairs (s, 2), strain_limit: pairs and longest lengths of the springs.
+        strain_limit: longest lengths of springs.
     """
 
     mass: Floats
@@ -66,7 +66,6 @@ class ForceTerms(NamedTuple):
     hinge_stiffness: Floats
     bending_damping_time: float
     seam: SeamPull
-    spring_pairs: Ints
     strain_limit: StrainLimit
 
 
@@ -144,17 +143,17 @@ def run_steps(
     by_axis(x, work.x)
     by_axis(v, work.v)
     rows_x, rows_v = particle_rows(work.x, x.shape[0]), particle_rows(work.v, x.shape[0])
-    watch_strain(rows_x, terms.spring_pairs, terms.strain_limit)
+    watch_strain(rows_x, terms.strain_limit)
     done = 0
     spent = False
     while done < count and not spent:
         openness = max(openness - openness_rate * dt, 0.0)
         _forces(terms, openness, work)
         semi_implicit_euler(work.x, work.v, work.force, terms.inverse_mass, dt)
-        repeat_strain_impulses(rows_x, rows_v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        repeat_strain_impulses(rows_x, rows_v, terms.inverse_mass, terms.strain_limit, dt)
         if contact.active:
             spent = resolve_contacts(work.x, work.v, terms.inverse_mass, contacts, contact, dt, moved)
-        hold_strain(rows_x, rows_v, terms.inverse_mass, terms.spring_pairs, terms.strain_limit, dt)
+        hold_strain(rows_x, rows_v, terms.inverse_mass, terms.strain_limit, dt)
         if contact.active:
             # Last of all: whatever the terms wanted, no particle goes farther than it safely can.
             spent = keep_within_travel(work.x, work.v, contacts, moved) or spent

@@ -19,6 +19,7 @@ __all__ = [
     "StrainLimit",
     "build_strain_limit",
     "hold_strain",
+    "limited_springs",
     "no_strain_limit",
     "repeat_strain_impulses",
     "watch_strain",
@@ -26,6 +27,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
 
 # The limit that is enforced lies a little inside the fabric's, so that what is left after the sweeps stays within it.
 _MARGIN = 0.97
@@ -39,15 +41,17 @@ _RETURN_SPEED = 0.1
 
 
 class StrainLimit(NamedTuple):
-    """State of the limit; arrays over all springs.
+    """State of the limit; arrays over the springs that have one.
 
     Attributes:
-        longest: largest length allowed [m], (s,); inf for springs without a limit.
+        pairs: particles at their ends, (s, 2).
+        longest: largest length allowed [m], (s,).
         watched_from: length from which a spring is looked at [m], (s,).
         impulse: what each spring gave in the last step [N s], (s,); the next step starts from it.
         watched: springs that are looked at; the first watched_count[0] count, (s,).
     """
 
+    pairs: Ints
     longest: Floats
     watched_from: Floats
     impulse: Floats
@@ -57,28 +61,35 @@ class StrainLimit(NamedTuple):
 
 def build_strain_limit(springs: Springs, limit: float) -> StrainLimit:
     """Limit the extension of the structural springs to `limit` (0.05 = 5 %)."""
-    structural = springs.family == SpringFamily.STRUCTURAL
+    limited = limited_springs(springs)
+    rest_length = springs.rest_length[limited]
     return StrainLimit(
-        longest=np.where(structural, (1.0 + _MARGIN * limit) * springs.rest_length, np.inf),
-        watched_from=np.where(structural, (1.0 + _WATCHED * limit) * springs.rest_length, np.inf),
-        impulse=np.zeros(len(springs)),
-        watched=np.zeros(len(springs), dtype=np.int32),
+        pairs=springs.pairs[limited],
+        longest=(1.0 + _MARGIN * limit) * rest_length,
+        watched_from=(1.0 + _WATCHED * limit) * rest_length,
+        impulse=np.zeros(len(rest_length)),
+        watched=np.zeros(len(rest_length), dtype=np.int32),
         watched_count=np.zeros(1, dtype=np.int32),
     )
 
 
+def limited_springs(springs: Springs) -> Bools:
+    """Which springs have a limit, (s,)."""
+    return np.asarray(springs.family == SpringFamily.STRUCTURAL)
+
+
 def no_strain_limit() -> StrainLimit:
     """No spring has one: nothing to watch and nothing to hold."""
-    none = np.zeros(0)
-    return StrainLimit(none, none, none.copy(), np.zeros(0, dtype=np.int32), np.zeros(1, dtype=np.int32))
+    floats, ints = np.zeros(0), np.zeros(0, dtype=np.int32)
+    return StrainLimit(ints.reshape(0, 2), floats, floats, floats.copy(), ints, np.zeros(1, dtype=np.int32))
 
 
 @kernel
-def watch_strain(x: Floats, pairs: Ints, limit: StrainLimit) -> None:
-    """Note the springs that are near their limit; x (n, 3) [m], pairs (s, 2)."""
+def watch_strain(x: Floats, limit: StrainLimit) -> None:
+    """Note the springs that are near their limit; x (n, 3) [m]."""
     count = 0
     for s in range(limit.longest.shape[0]):
-        i, j = pairs[s, 0], pairs[s, 1]
+        i, j = limit.pairs[s, 0], limit.pairs[s, 1]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         if dx * dx + dy * dy + dz * dz > limit.watched_from[s] * limit.watched_from[s]:
             limit.watched[count] = s
@@ -89,21 +100,19 @@ def watch_strain(x: Floats, pairs: Ints, limit: StrainLimit) -> None:
 
 
 @kernel
-def repeat_strain_impulses(
-    x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: StrainLimit, dt: float
-) -> None:
+def repeat_strain_impulses(x: Floats, v: Floats, inverse_mass: Floats, limit: StrainLimit, dt: float) -> None:
     """Give each watched spring what it needed in the last step, before contact and its friction have their say."""
     for entry in range(limit.watched_count[0]):
         s = limit.watched[entry]
         if limit.impulse[s] > 0.0:
-            _pull(x, v, inverse_mass, pairs[s, 0], pairs[s, 1], limit.impulse[s], dt)
+            _pull(x, v, inverse_mass, limit.pairs[s, 0], limit.pairs[s, 1], limit.impulse[s], dt)
 
 
 @kernel
-def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: StrainLimit, dt: float) -> None:
+def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, limit: StrainLimit, dt: float) -> None:
     """Bring the watched springs back within their limit at the end of a step, in place.
 
-    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; pairs (s, 2); dt [s].
+    Shapes: x, v (n, 3) [m, m/s]; inverse_mass (n,) [1/kg]; dt [s].
     """
     count = limit.watched_count[0]
     if count == 0:
@@ -112,7 +121,7 @@ def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: 
         for entry in range(count):
             # Forth and back: what hangs from a spring is felt along a whole row within one sweep.
             s = limit.watched[entry if sweep % 2 == 0 else count - 1 - entry]
-            i, j = pairs[s, 0], pairs[s, 1]
+            i, j = limit.pairs[s, 0], limit.pairs[s, 1]
             compliance = inverse_mass[i] + inverse_mass[j]
             if compliance == 0.0:
                 continue
@@ -129,7 +138,7 @@ def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, pairs: Ints, limit: 
     # and the next one would come on top of it.
     for entry in range(count):
         s = limit.watched[entry]
-        i, j = pairs[s, 0], pairs[s, 1]
+        i, j = limit.pairs[s, 0], limit.pairs[s, 1]
         compliance = inverse_mass[i] + inverse_mass[j]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)

@@ -54,7 +54,7 @@ def term_costs(
             work.x, work.v, terms.trellis, terms.spring_damping_time, work.force
         )
     xs, vs = x.copy(), v.copy()
-    measured["strain limit"] = lambda: hold_strain(xs, vs, terms.inverse_mass, terms.spring_pairs, limit, dt)
+    measured["strain limit"] = lambda: hold_strain(xs, vs, terms.inverse_mass, limit, dt)
     if terms.seam.pairs.shape[0] > 0:
         measured["seams"] = lambda: seam_forces(work.x, work.v, terms.seam, 0.0, work.force)
     if contact.active:

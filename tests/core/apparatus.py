@@ -24,7 +24,7 @@ from cloth_core.sewing import SeamPull
 from cloth_core.simulation import Simulation
 from cloth_core.springs import spring_forces
 from cloth_core.step import ForceTerms, Workspace, run_steps
-from cloth_core.strain_limit import StrainLimit
+from cloth_core.strain_limit import no_strain_limit
 from cloth_core.twist import twist_forces
 
 __all__ = [
@@ -224,11 +224,7 @@ def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
         "hinge_stiffness": np.zeros(0),
         "bending_damping_time": 0.0,
         "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0),
-        "spring_pairs": pairs,
-        "strain_limit": StrainLimit(  # no spring has one
-            np.full(len(pairs), np.inf), np.full(len(pairs), np.inf), np.zeros(len(pairs)),
-            np.zeros(len(pairs), dtype=np.int32), np.zeros(1, dtype=np.int32),
-        ),
+        "strain_limit": no_strain_limit(),
     }  # fmt: skip
     for key, value in given.items():
         values[key] = np.asarray(value, dtype=float) if isinstance(value, list) else value

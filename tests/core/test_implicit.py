@@ -51,7 +51,7 @@ def _energy(simulation: Simulation) -> float:
     springs = model.springs
     length = np.linalg.norm(x[springs.pairs[:, 0]] - x[springs.pairs[:, 1]], axis=1)
     stretched = 0.5 * float((springs.stiffness * (length - springs.rest_length) ** 2).sum())
-    bent = -0.5 * float((bending_force(model.bending, x) * x).sum()) if model.bending is not None else 0.0
+    bent = -0.5 * float((bending_force(model.bending, x) * x).sum())
     moving = 0.5 * float((model.mass[:, None] * v**2).sum())
     return moving + stretched + bent + GRAVITY * float((model.mass * x[:, 2]).sum())
 

@@ -516,7 +516,7 @@ def test_scene_has_only_the_terms_that_it_needs_and_says_why():
     assert terms["structural springs"]["active"] is True
     model = simulation.model
     assert model.contact is None or bare.body is None
-    assert model.bending is None
+    assert len(model.bending) == 0
     assert model.seam_pull is None
 
     full = Scene.build(
