@@ -64,17 +64,18 @@ $(VENV)/core.done: $(VENV)/made.done $(METADATA)
 	@$(BIN)/python $(INSTALL) --constraint constraints.txt --editable .
 	@touch $@
 
-# A run that ends at once makes numba compile, and keep, what the node will need: that takes one core, pip the other.
+# A run that ends at once makes numba compile, and keep, what every other one will need, while pip downloads.
+COMPILE = $(BIN)/cloth-sim drape tshirt --body young --quality draft --max-time 0.001 > $(VENV)/compile.log 2>&1
+
 $(VENV)/ros.done: $(VENV)/core.done
 	@echo "==> installing ROS 2 as wheels (50 MB to download the first time), compiling the simulator meanwhile"
-	@$(BIN)/cloth-sim drape tshirt --body young --quality draft --max-time 0.001 > $(VENV)/compile.log 2>&1 & \
-	    $(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros]' && wait
+	@$(COMPILE) & $(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros]' && wait
 	@touch $@
 
-$(VENV)/test.done: $(VENV)/made.done $(METADATA)
-	@echo "==> installing the simulator, ROS 2 and what tests and checks need as wheels"
-	@$(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros,test,lint]'
-	@touch $(VENV)/core.done $(VENV)/ros.done $@
+$(VENV)/test.done: $(VENV)/core.done
+	@echo "==> installing ROS 2 and what tests and checks need as wheels, compiling the simulator meanwhile"
+	@$(COMPILE) & $(BIN)/python $(INSTALL) --constraint constraints.txt --editable '.[ros,test,lint]' && wait
+	@touch $(VENV)/ros.done $@
 
 $(NUMPY1)/core.done: $(METADATA)
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 13))' || \

@@ -113,7 +113,7 @@ def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float 
         triangles: corner indices, shape (t, 3).
         margin: how far a box reaches beyond its corners [m], for all of them or for each vertex, shape (n,).
     """
-    _refit(tree, vertices, triangles, np.ascontiguousarray(np.broadcast_to(margin, len(vertices)), dtype=np.float64))
+    _refit(tree, vertices, triangles, np.array(np.broadcast_to(margin, len(vertices)), dtype=np.float64))
 
 
 @kernel

@@ -154,7 +154,7 @@ class BodyContact:
             found = overlapping_pairs(body_tree, tree, self._leaf_pairs, most)
         body = self.body
         body_x, own = body.vertices, body.representatives
-        margin = np.ascontiguousarray(np.broadcast_to(self.side_offset + radius, len(x)))
+        margin = np.array(np.broadcast_to(self.side_offset + radius, len(x)))
         cloth_triangles, cloth_edges = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
         reach = margin + (self.offset - self.side_offset)
         vertices, corners, sides = _box_pairs(

@@ -15,17 +15,23 @@ Floats = NDArray[np.float64]
 _COLLAPSED = 1e-10
 
 
+# Below are numbers as arguments instead of arrays: those come in several layouts, each of which is compiled by itself.
+
+
 @inlined_kernel
 def _squared(x: float, y: float, z: float) -> float:
     return x * x + y * y + z * z
 
 
 @kernel
-def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
-    """Squared distance [m^2] of segments pq and ab; where the closest points lie, s along pq, t along ab; all (3,)."""
-    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    wx, wy, wz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    rx, ry, rz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+def _segment_segment(
+    px: float, py: float, pz: float, qx: float, qy: float, qz: float,
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """As `segment_segment`."""
+    ux, uy, uz = qx - px, qy - py, qz - pz
+    wx, wy, wz = bx - ax, by - ay, bz - az
+    rx, ry, rz = px - ax, py - ay, pz - az
     uu = ux * ux + uy * uy + uz * uz
     ww = wx * wx + wy * wy + wz * wz
     wr = wx * rx + wy * ry + wz * rz
@@ -54,30 +60,36 @@ def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, 
 
 
 @kernel
-def _nearest_side(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
+def _nearest_side(
+    px: float, py: float, pz: float, ax: float, ay: float, az: float,
+    bx: float, by: float, bz: float, cx: float, cy: float, cz: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
     """As `point_triangle`, for a triangle that has collapsed to a line: rounding would decide where its face is."""
-    s, _, ab = segment_segment(p, p, a, b)
+    s, _, ab = _segment_segment(px, py, pz, px, py, pz, ax, ay, az, bx, by, bz)
     squared, u, v, w = s, 1.0 - ab, ab, 0.0
-    s, _, bc = segment_segment(p, p, b, c)
+    s, _, bc = _segment_segment(px, py, pz, px, py, pz, bx, by, bz, cx, cy, cz)
     if s < squared:
         squared, u, v, w = s, 0.0, 1.0 - bc, bc
-    s, _, ca = segment_segment(p, p, c, a)
+    s, _, ca = _segment_segment(px, py, pz, px, py, pz, cx, cy, cz, ax, ay, az)
     if s < squared:
         squared, u, v, w = s, ca, 0.0, 1.0 - ca
     return squared, u, v, w
 
 
 @kernel
-def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
-    """Squared distance [m^2] of p to triangle abc and the barycentric coordinates of its closest point; all (3,)."""
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    apx, apy, apz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+def _point_triangle(
+    px: float, py: float, pz: float, ax: float, ay: float, az: float,
+    bx: float, by: float, bz: float, cx: float, cy: float, cz: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """As `point_triangle`."""
+    abx, aby, abz = bx - ax, by - ay, bz - az
+    acx, acy, acz = cx - ax, cy - ay, cz - az
+    apx, apy, apz = px - ax, py - ay, pz - az
     d1 = abx * apx + aby * apy + abz * apz
     d2 = acx * apx + acy * apy + acz * apz
     if d1 <= 0.0 and d2 <= 0.0:
         return _squared(apx, apy, apz), 1.0, 0.0, 0.0
-    bpx, bpy, bpz = p[0] - b[0], p[1] - b[1], p[2] - b[2]
+    bpx, bpy, bpz = px - bx, py - by, pz - bz
     d3 = abx * bpx + aby * bpy + abz * bpz
     d4 = acx * bpx + acy * bpy + acz * bpz
     if d3 >= 0.0 and d4 <= d3:
@@ -86,7 +98,7 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
     if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 - d3 > 0.0:
         t = d1 / (d1 - d3)
         return _squared(apx - t * abx, apy - t * aby, apz - t * abz), 1.0 - t, t, 0.0
-    cpx, cpy, cpz = p[0] - c[0], p[1] - c[1], p[2] - c[2]
+    cpx, cpy, cpz = px - cx, py - cy, pz - cz
     d5 = abx * cpx + aby * cpy + abz * cpz
     d6 = acx * cpx + acy * cpy + acz * cpz
     if d6 >= 0.0 and d5 <= d6:
@@ -99,16 +111,28 @@ def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, f
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         t = (d4 - d3) / (d4 - d3 + d5 - d6) if d4 - d3 + d5 - d6 > 0.0 else 0.0
         return (
-            _squared(bpx - t * (c[0] - b[0]), bpy - t * (c[1] - b[1]), bpz - t * (c[2] - b[2])),
+            _squared(bpx - t * (cx - bx), bpy - t * (cy - by), bpz - t * (cz - bz)),
             0.0,
             1.0 - t,
             t,
         )
     whole = va + vb + vc
     if whole <= _COLLAPSED * (abx * abx + aby * aby + abz * abz) * (acx * acx + acy * acy + acz * acz):
-        return _nearest_side(p, a, b, c)
+        return _nearest_side(px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz)
     v, w = vb / whole, vc / whole
     return _squared(apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz), 1.0 - v - w, v, w
+
+
+@kernel
+def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
+    """Squared distance [m^2] of segments pq and ab; where the closest points lie, s along pq, t along ab; all (3,)."""
+    return _segment_segment(p[0], p[1], p[2], q[0], q[1], q[2], a[0], a[1], a[2], b[0], b[1], b[2])
+
+
+@kernel
+def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
+    """Squared distance [m^2] of p to triangle abc and the barycentric coordinates of its closest point; all (3,)."""
+    return _point_triangle(p[0], p[1], p[2], a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
 
 
 @inlined_kernel

@@ -24,7 +24,7 @@ from cloth_core.body_contact import BodyContact, VertexPlanes, arm, carry_planes
 from cloth_core.broad_phase import BroadPhase
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.contact_state import ContactSettings, ContactState, Renewal
-from cloth_core.kernel import kernel
+from cloth_core.kernel import kernel, zero
 from cloth_core.near_planes import (
     NEAR,
     NearPlanes,
@@ -99,7 +99,7 @@ class Contact:
         Returns:
             what was found; its renewal is not allowed until whoever runs the steps says how particles want to go.
         """
-        wanted = np.ascontiguousarray(np.broadcast_to(reach, len(x)), dtype=np.float64)
+        wanted = np.array(np.broadcast_to(reach, len(x)), dtype=np.float64)
         broad = self.broad
         searched, moved, left, way_of_body = broad.at(x, wanted)
         planes, pairs = broad.planes, broad.pairs
@@ -112,8 +112,9 @@ class Contact:
         granted = np.where(broad.alone, left, np.minimum(wanted, left))
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY
         body_triangles = self.body.body.triangles if self.body is not None else np.zeros((0, 3), dtype=np.int32)
+        origin = np.ascontiguousarray(x.T)
         travel, near = _narrow_phase(
-            x, planes, pairs, body_x, body_triangles, moved, granted, self._renewal.place,
+            origin, planes, pairs, body_x, body_triangles, moved, granted, self._renewal.place,
             self.body.offset if self.body is not None else 0.0,
         )  # fmt: skip
         self.narrow_phases += 1
@@ -121,7 +122,7 @@ class Contact:
             planes.plane_count[:] = -1
             self._searched_body_x = body_x
         renewal = self._renewal._replace(way=moved, way_of_body=way_of_body)
-        return ContactState(np.ascontiguousarray(x.T), travel, planes, pairs, NearPlanes.of(near), renewal)
+        return ContactState(origin, travel, planes, pairs, NearPlanes.of(near), renewal)
 
     def forget(self) -> None:
         """Let the next search be one with a broad phase."""
@@ -130,7 +131,7 @@ class Contact:
 
 @kernel
 def _narrow_phase(
-    x: Floats,
+    origin: Floats,
     planes: VertexPlanes,
     pairs: PairContacts,
     body_x: Floats,
@@ -142,15 +143,17 @@ def _narrow_phase(
 ) -> tuple[Floats, Floats]:
     """List the pairs that can come into contact within reach (n,) [m]; place (s,) says where each is listed, or -1.
 
-    Particles that can come as near to the body as offset [m] are armed. moved (n,): way of each particle since the
-    broad phase [m]. A pair that is farther apart than what both sides may travel does not bound anybody.
+    origin (3, n): positions [m]. Particles that can come as near to the body as offset [m] are armed. moved (n,): way
+    of each particle since the broad phase [m]. A pair that is farther apart than what both sides may travel does not
+    bound anybody.
 
     Returns:
         how far each particle may go [m], (n,); particle, normal and room of the planes of what nearly touches, (k, 5).
     """
     travel = np.maximum(reach / BODY_TRAVEL, reach + 1.1 * offset)
+    x = particle_rows(origin, reach.shape[0])
     near = np.empty((16, 5))
-    near_count = 0
+    near_count = zero()
     vertex_body_gaps(x, planes, body_x, body_triangles, moved, travel, travel)
     planes.is_armed[:] = False
     planes.armed_count[0] = 0
@@ -162,7 +165,8 @@ def _narrow_phase(
         travel[i] = min(BODY_TRAVEL * travel[i], reach[i])
     closest = np.zeros(3)
     count = 0
-    for s in range(pairs.kind.shape[0]):
+    for pair in range(pairs.kind.shape[0]):
+        s: int = np.int32(pair)  # type: ignore[assignment]  # as lists of pairs have them
         kind = pairs.kind[s]
         way, span = nearer_by(pairs.kind, pairs.particles, s, moved), nearer_by(pairs.kind, pairs.particles, s, reach)
         needed = COUNTS_FROM * pairs.offset[s] + span
@@ -186,7 +190,7 @@ def _narrow_phase(
                     if i >= 0:
                         sign = side_of_pair(kind, k) / distance
                         near = add_plane(
-                            near, near_count, i, sign * closest[0], sign * closest[1], sign * closest[2], room
+                            near, near_count, int(i), sign * closest[0], sign * closest[1], sign * closest[2], room
                         )
                         near_count += 1
                 continue

@@ -3,6 +3,10 @@
 Numba keeps a cached function until its own file changes, although it holds compiled copies of what it calls in other
 files; after an update that would run old code on new arrays. So the cache of each module lies in a directory named
 after the content of that module and of all modules of the package that it imports, directly or not.
+
+Compiling takes a second for each function and each combination of argument types, so functions are called with the same
+ones wherever that is possible: with arrays in one layout that can be written to, and `zero()` where a count begins,
+since a literal 0 is a type of its own.
 """
 
 from __future__ import annotations
@@ -16,8 +20,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 
-__all__ = ["cache_directory", "inlined_kernel", "kernel"]
+__all__ = ["cache_directory", "inlined_kernel", "kernel", "zero"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -69,3 +74,9 @@ def _compiled(function: F, inline: str) -> F:
         return cast(F, _njit(nogil=True, error_model="numpy", inline=inline)(function))
     finally:
         _config.CACHE_DIR = before
+
+
+@inlined_kernel
+def zero() -> int:
+    """0 as an int64 and not as a literal."""
+    return np.int64(0)  # type: ignore[return-value]

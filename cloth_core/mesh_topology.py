@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import kernel, zero
 
 __all__ = ["Representatives", "point_neighbours", "representatives", "unique_edges"]
 
@@ -53,7 +53,7 @@ def point_neighbours(triangles: Ints) -> tuple[Ints, Ints]:
 def _unique_edges(triangles: Ints) -> tuple[Ints, Ints]:
     count = 3 * triangles.shape[0]
     sides = np.empty((count, 2), dtype=np.int32)
-    vertices = 0
+    vertices = zero()
     for t in range(triangles.shape[0]):
         for k in range(3):
             i, j = triangles[t, k], triangles[t, (k + 1) % 3]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import inlined_kernel, kernel, zero
 
 __all__ = ["exact_orientation", "orientation", "quick_orientation"]
 
@@ -93,7 +93,7 @@ def _add(parts: Floats, count: int, value: float) -> int:
 def exact_orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
     """As `orientation`, always without rounding: the determinant of the rows (point, 1), expanded into 24 products."""
     parts = np.zeros(_MOST_PARTS)
-    count = 0
+    count = zero()
     points = (a, b, c, d)
     for without in range(4):
         # Minor of the three other points, det [p; q; r], with the sign of its place in the expansion along the ones.

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import inlined_kernel, kernel
 
 __all__ = ["doubled", "write_pair"]
 
 Ints = NDArray[np.int32]
 
 
-@kernel
+@inlined_kernel
 def write_pair(rows: Ints, at: int, kind: int, p: int, q: int, r: int, s: int, a: int, b: int) -> None:
     """Set one row (7,) of the list."""
     rows[at, 0] = kind

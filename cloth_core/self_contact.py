@@ -211,7 +211,7 @@ class SelfContact:
             number, neighbours = self._closing.number, self._closing.neighbours
         triangles, own = self.triangles, self._representatives
         # Of the offset each of the two has a half.
-        margin = np.ascontiguousarray(np.broadcast_to(0.5 * self.offset + radius, len(x)))
+        margin = np.array(np.broadcast_to(0.5 * self.offset + radius, len(x)))
         triangle_box, edge_box = triangle_boxes(x, triangles, margin), edge_boxes(x, own.edges, margin)
         vertices, sides = _box_pairs(x, margin, triangles, own, triangle_box, edge_box, number, pairs)
         return _near_pairs(

@@ -18,7 +18,7 @@ from cloth_core.axis_layout import particle_rows
 from cloth_core.body_contact import arm
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.contact_state import ContactState, Renewal
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import inlined_kernel, kernel, zero
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
 
@@ -106,7 +106,7 @@ def _all_renewed(
     renewal = state.renewal
     most = min(max(int(_FEW * x.shape[0]), _FEW_OF_FEW), x.shape[0])
     renewal.turn[0] += 1
-    count = 0
+    count = zero()
     for i in range(x.shape[0]):
         if moved[i] > (SPENT * state.travel[i]) ** 2:
             if count >= most:
@@ -119,7 +119,7 @@ def _all_renewed(
                 return False
             renewal.waiting[count] = state.near.particle[k]
             count += 1
-    done = 0
+    done = zero()
     while done < count:
         count = _renew(renewal.waiting[done], done, count, x, v, state, body_x, body_triangles, moved, dt)
         done += 1
@@ -128,7 +128,7 @@ def _all_renewed(
     return True
 
 
-@inlined_kernel
+@kernel
 def _renew(
     p: int,
     at: int,

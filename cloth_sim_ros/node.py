@@ -30,8 +30,8 @@ from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
 from cloth_core.errors import ClothError, PatternError, SceneError
+from cloth_core.first_start import compile_beside, is_first_start
 from cloth_core.grasp import Pose
-from cloth_core.kernel import cache_directory
 from cloth_core.pattern import MAX_TEXT_BYTES
 from cloth_sim_ros.deferred_message import Message
 from cloth_sim_ros.delivery import Departure, PacedPublisher, configure_fast_dds
@@ -99,8 +99,9 @@ def _prepare() -> None:
     # There is nothing to end yet; what is raised here instead would be lost in some callbacks of the compiler.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: os._exit(0))
-    if not cache_directory("cloth_core.step").exists():
-        print("cloth_sim_node: compiling, which takes about a minute at the first start", file=sys.stderr)
+    if is_first_start():
+        print("cloth_sim_node: compiling, which takes a minute or two at the first start", file=sys.stderr)
+        compile_beside()
     warm_up()
 
 
