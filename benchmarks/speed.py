@@ -14,6 +14,7 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/speed.md"))
     parser.add_argument("--results", type=Path, default=Path("build/speed.json"))
     parser.add_argument("--page-only", action="store_true")
+    parser.add_argument("--again", default="", help="measure only these again: limit, growth, profile, drape, first")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--peers", default="pypbd,pypbd_1,mujoco", help="others, comma between; see peers/README.md")
     parser.add_argument("--peer-python", type=Path, default=Path(".venv-peers/bin/python"))
@@ -42,7 +44,11 @@ def main() -> None:
     parser.add_argument("--growth", default="32,64,128,256,512")
     parser.add_argument("--timeout", type=float, default=400.0, help="longest case [s]")
     options = parser.parse_args()
-    if not options.page_only:
+    if options.again:
+        results = json.loads(options.results.read_text())
+        results["again"] = {**results.get("again", {}), **measure_parts(results, options, options.again.split(","))}
+        options.results.write_text(json.dumps(results, indent=1))
+    elif not options.page_only:
         options.results.parent.mkdir(parents=True, exist_ok=True)
         options.results.write_text(json.dumps(measure(options), indent=1))
     write_page(json.loads(options.results.read_text()), options.output)
@@ -83,19 +89,29 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
                 found = {**case, "failed": found}
             results["cases"].append(found)
             print(f"round {number + 1}: {scene} {peer} {n}: {found.get('processor_per_second', found.get('failed'))}")
-    for key, arguments in (
-        ("limit", [["limit"]]),
-        ("growth", [["growth", n] for n in options.growth.split(",")]),
-        ("profile", [["profile"]]),
-        ("drape", [["drape", spacing] for spacing in options.spacings.split(",")]),
-    ):
+    measure_parts(results, options, ("limit", "growth", "profile", "drape", "first"))
+    return results
+
+
+def measure_parts(results: dict[str, Any], options: argparse.Namespace, parts: Sequence[str]) -> dict[str, str]:
+    """Measures our own parts into the results; when each was begun."""
+    arguments = {
+        "limit": [["limit"]],
+        "growth": [["growth", n] for n in options.growth.split(",")],
+        "profile": [["profile"]],
+        "drape": [["drape", spacing] for spacing in options.spacings.split(",")],
+        "first": [["first"]],
+    }
+    began = {}
+    for key in parts:
+        began[key] = time.strftime("%Y-%m-%d %H:%M")
         results[key] = []
-        for each in arguments:
+        for each in arguments[key]:
             found = run([sys.executable, str(HERE / "step_speed.py"), *each], options.timeout)
             results[key].append({"failed": found, "value": each[-1]} if isinstance(found, str) else found)
             print(" ".join(each), "" if not isinstance(found, str) else found)
             results["load"].append(os.getloadavg()[0])
-    return results
+    return began
 
 
 def run(command: list[str], timeout: float) -> dict[str, Any] | str:

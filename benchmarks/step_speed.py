@@ -1,4 +1,4 @@
-"""What a step costs: `python benchmarks/step_speed.py limit | growth N | profile | drape SPACING`, one line of JSON.
+"""What a step costs: `python benchmarks/step_speed.py limit | growth N | profile | drape SPACING | first`; JSON.
 
 Processor time of the one thread that steps, the smallest of repeated blocks: it does not count what other processes
 take, but is longer while they share the core's caches and units. So what is compared is measured in turn.
@@ -11,7 +11,9 @@ import json
 import os
 import resource
 import shutil
+import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -206,10 +208,29 @@ def drape(spacing: float) -> dict[str, Any]:
     }
 
 
+def first_use() -> dict[str, Any]:
+    """Wall time [s] of an import, and of a run of 32 steps from the command line, with nothing compiled and after."""
+    drape = [sys.executable, "-m", "cloth_sim_ros.command_line", "drape", "tshirt", "--body", "young"]
+    drape += ["--quality", "draft", "--max-time", "0.001"]
+
+    def wall(command: list[str]) -> float:
+        began = time.perf_counter()
+        subprocess.run(command, env=environment, capture_output=True, check=False)
+        return time.perf_counter() - began
+
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        return {
+            "import": min(wall([sys.executable, "-c", "import cloth_core"]) for _ in range(5)),
+            "first": wall(drape),
+            "next": statistics.median(wall(drape) for _ in range(5)),
+        }
+
+
 def main() -> None:
     """Measures one thing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["limit", "growth", "profile", "drape"])
+    parser.add_argument("what", choices=["limit", "growth", "profile", "drape", "first"])
     parser.add_argument("value", nargs="?", type=float)
     options = parser.parse_args()
     if options.what == "limit":
@@ -217,6 +238,8 @@ def main() -> None:
     elif options.what == "growth":
         growth(8)  # compiles; what it needs is part of every run
         print(json.dumps(growth(int(options.value or 64))))
+    elif options.what == "first":
+        print(json.dumps(first_use()))
     elif options.what == "profile":
         print(json.dumps(profile()))
     else:
