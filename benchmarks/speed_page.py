@@ -81,7 +81,7 @@ memory, one for each axis.
 
 FIRST_USE = (
     "Numba compiles 138 functions then, for half a second each on this machine, half of them in another process "
-    "beside: one process alone took 150 s. That is more than the 30 s that a first start should take; what is compiled "
+    "beside: one process alone took twice as long. That is more than the 30 s that a first start should take; what is compiled "
     "belongs to the processor that it is compiled on, and so cannot come with the package. `make demo` and `make test` "
     "compile while they install."
 )
@@ -218,8 +218,8 @@ def first_use(runs: list[dict[str, Any]], again: str) -> list[str]:
         "## First use",
         "",
         f"Wall time{measured(again)}. Importing `cloth_core` takes {found['import']:.2f} s and compiles nothing. "
-        "`cloth-sim drape tshirt --body young --quality draft`, ended after the first 32 steps, report included, takes "
-        f"{found['next']:.1f} s, and {found['first']:.0f} s where nothing has been compiled yet, as after an "
+        "`cloth-sim drape tshirt --body young --quality draft` has done its first 32 steps after "
+        f"{found['next']:.1f} s, and after {found['first']:.0f} s where nothing has been compiled yet, as after an "
         "installation. " + FIRST_USE,
     ]
 

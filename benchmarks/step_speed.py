@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import resource
 import shutil
@@ -209,21 +210,27 @@ def drape(spacing: float) -> dict[str, Any]:
 
 
 def first_use() -> dict[str, Any]:
-    """Wall time [s] of an import, and of a run of 32 steps from the command line, with nothing compiled and after."""
+    """Wall time [s] of an import, and until a run from the command line has done 32 steps: the first ever, the next."""
     drape = [sys.executable, "-m", "cloth_sim_ros.command_line", "drape", "tshirt", "--body", "young"]
     drape += ["--quality", "draft", "--max-time", "0.001"]
 
-    def wall(command: list[str]) -> float:
-        began = time.perf_counter()
-        subprocess.run(command, env=environment, capture_output=True, check=False)
-        return time.perf_counter() - began
+    def until(command: list[str], line: str) -> float:
+        began, reached = time.perf_counter(), math.nan
+        with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, stdout=quiet, text=True) as process:
+            assert process.stderr is not None
+            for said in process.stderr:
+                if said.startswith(line) and math.isnan(reached):
+                    reached = time.perf_counter() - began
+        return reached if line else time.perf_counter() - began
 
     with tempfile.TemporaryDirectory() as cache:
+        quiet = subprocess.DEVNULL
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation has byte code after its first start
         return {
-            "import": min(wall([sys.executable, "-c", "import cloth_core"]) for _ in range(5)),
-            "first": wall(drape),
-            "next": statistics.median(wall(drape) for _ in range(5)),
+            "import": min(until([sys.executable, "-c", "import cloth_core"], "") for _ in range(5)),
+            "first": until(drape, "sewing:"),
+            "next": statistics.median(until(drape, "sewing:") for _ in range(5)),
         }
 
 

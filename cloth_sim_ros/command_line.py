@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from cloth_core.errors import ClothError, SimulationError
-from cloth_core.first_start import compile_beside
 from cloth_sim_ros.command_values import OutputFile, PictureSize, Quantity
 from cloth_sim_ros.run_progress import Interruption, ProgressDisplay
 from cloth_sim_ros.stability_command import stability
@@ -346,8 +345,10 @@ def _prepare(
     """The patterns, a simulation of their scene, and the parameters that repeat it."""
     if quality is not None and tolerance is not None:
         raise ClothError("--quality and --tolerance exclude each other; give one of them")
-    compile_beside()
     display.step(f"reading {', '.join([*names, *([body] if body else [])])}")
+    from cloth_core.first_start import compile_beside
+
+    compile_beside()
     from dataclasses import asdict, replace
 
     from cloth_core.body import Body
