@@ -81,9 +81,9 @@ memory, one for each axis.
 
 FIRST_USE = (
     "Numba compiles 138 functions then, for half a second each on this machine, half of them in another process "
-    "beside: one process alone took twice as long. That is more than the 30 s that a first start should take; what is compiled "
-    "belongs to the processor that it is compiled on, and so cannot come with the package. `make demo` and `make test` "
-    "compile while they install."
+    "beside: one process alone took twice as long. That is more than the 30 s that a first start should take; what is "
+    "compiled belongs to the processor that it is compiled on, and so cannot come with the package. `make demo` and "
+    "`make test` compile while they install."
 )
 LARGER = (
     "With more time, an hour earlier: scene A at 128 x 128 MuJoCo 91.6 s of processor time per s, ours in the same run "

@@ -47,8 +47,8 @@ class ReachableTree:
         return self.tree
 
     def _fits(self, lower: Floats, upper: Floats) -> bool:
-        room = np.concatenate([lower - self._lower, self._upper - upper])
-        return bool((room >= 0.0).all() and (room <= _TOO_MUCH).all())
+        room = (*(lower - self._lower).tolist(), *(self._upper - upper).tolist())
+        return bool(min(room) >= 0.0 and max(room) <= _TOO_MUCH)
 
 
 @kernel
