@@ -20,13 +20,18 @@ _beside: list[subprocess.Popen[bytes]] = []
 
 
 def is_first_start() -> bool:
-    """Whether nothing of what steps take has been compiled on this machine."""
-    return not cache_directory("cloth_core.step").exists()
+    """Whether steps have not been compiled on this machine."""
+    # An import makes the directory; numba writes this index once the function has been compiled to the end.
+    return next(cache_directory("cloth_core.step").rglob("step.run_steps-*.nbi"), None) is None
 
 
 def compile_beside() -> None:
     """On a first start, let another process compile what steps take; it ends with this one at the latest."""
     if not is_first_start():
+        return
+    try:
+        cache_directory("cloth_core.step").mkdir(parents=True, exist_ok=True)
+    except OSError:  # nothing can be kept: it would work for nobody
         return
     command = "from cloth_core.first_start import end_with_parent, compile_steps; end_with_parent(); compile_steps()"
     quiet = subprocess.DEVNULL

@@ -217,9 +217,9 @@ def _opposite_corners(garment: Garment) -> Ints:
 def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np.integer]) -> Springs:
     # Sorted by the lower particle, then by the other one; a bending spring stays one, whatever it lies beside.
     count = int(pairs.max(initial=0)) + 1
-    key = pairs.min(axis=1, initial=count).astype(np.int64)
+    key = pairs.min(axis=1).astype(np.int64)
     key *= count
-    key += pairs.max(axis=1, initial=0)
+    key += pairs.max(axis=1)
     key *= 2
     key += np.asarray(family) == SpringFamily.BENDING
     key, inverse = np.unique(key, return_inverse=True)

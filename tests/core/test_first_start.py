@@ -1,8 +1,10 @@
 """On a first start another process compiles what the steps of this one will take, and never outlives it."""
 
+import os
 import subprocess
 import sys
 
+import pytest
 import trimesh
 from apparatus import body_of, sheet
 
@@ -45,12 +47,33 @@ def test_no_other_process_is_started_where_steps_are_compiled(monkeypatch):
     assert not first_start._beside
 
 
-def test_an_empty_cache_is_a_first_start(monkeypatch, tmp_path):
-    started = []
-    monkeypatch.setattr(first_start, "cache_directory", lambda module: tmp_path / "none")
+@pytest.fixture
+def started(monkeypatch) -> list[list[str]]:
+    """Commands of the processes that would have been started."""
+    commands: list[list[str]] = []
     monkeypatch.setattr(first_start, "_beside", [])
-    monkeypatch.setattr(subprocess, "Popen", lambda command, **_: started.append(command))
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **_: commands.append(command))
+    return commands
+
+
+def test_an_import_compiles_nothing_so_that_the_start_after_it_is_the_first(tmp_path):
+    look = "import cloth_core.step; from cloth_core.first_start import is_first_start; print(is_first_start())"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "imported")}
+    asked = subprocess.run([sys.executable, "-c", look], env=environment, capture_output=True, text=True, check=True)
+    assert asked.stdout == "True\n"
+    assert any((tmp_path / "imported").iterdir())
+
+
+def test_an_empty_cache_is_a_first_start(monkeypatch, tmp_path, started):
+    monkeypatch.setattr(first_start, "cache_directory", lambda module: tmp_path / "cache")
     assert is_first_start()
     compile_beside()
     assert len(started) == 1
     assert "compile_steps()" in started[0][-1]
+
+
+def test_no_other_process_is_started_where_nothing_can_be_kept(monkeypatch, tmp_path, started):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setattr(first_start, "cache_directory", lambda module: tmp_path / "file" / "cache")
+    compile_beside()
+    assert not started
