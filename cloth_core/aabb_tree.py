@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
-from cloth_core.pair_list import doubled
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel, zero
 
 __all__ = ["DEPTH", "AabbTree", "boxes_overlap", "build_tree", "next_leaf", "overlapping_pairs", "refit_tree"]
 
@@ -50,7 +49,7 @@ def build_tree(vertices: Floats, triangles: Ints) -> AabbTree:
     return tree
 
 
-@kernel
+@borrowing_kernel
 def _select(order: Ints, key: Floats, first: int, last: int, middle: int) -> None:
     """Partially sort order[first:last] by (key, index) so that position `middle` holds what sorting would put there."""
     low, high = first, last - 1
@@ -116,7 +115,7 @@ def refit_tree(tree: AabbTree, vertices: Floats, triangles: Ints, margin: float 
     _refit(tree, vertices, triangles, np.array(np.broadcast_to(margin, len(vertices)), dtype=np.float64))
 
 
-@kernel
+@borrowing_kernel
 def _refit(tree: AabbTree, vertices: Floats, triangles: Ints, margin: Floats) -> None:
     for node in range(tree.triangle.shape[0] - 1, -1, -1):
         t = tree.triangle[node]
@@ -177,7 +176,6 @@ def next_leaf(tree: AabbTree, low: Floats, high: Floats, waiting: Ints, count: i
     return found, count
 
 
-@kernel
 def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 2**62) -> int:
     """Double traversal: all (cloth triangle, body triangle) whose boxes overlap, in a fixed order.
 
@@ -185,10 +183,15 @@ def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 
     tree is descended. At most len(pairs) are written to pairs (p, 2); the number found is returned. The search ends at
     more than `most`.
     """
-    found = 0
-    if body.triangle.shape[0] == 0 or cloth.triangle.shape[0] == 0:
-        return found
-    stack = np.zeros((1024, 2), dtype=np.int32)
+    if len(body.triangle) == 0 or len(cloth.triangle) == 0:
+        return 0
+    return int(_overlapping_pairs(body, cloth, np.zeros((2 * DEPTH, 2), dtype=np.int32), pairs, most))
+
+
+@borrowing_kernel
+def _overlapping_pairs(body: AabbTree, cloth: AabbTree, stack: Ints, pairs: Ints, most: int) -> int:
+    """As `overlapping_pairs`, of trees that have leaves; stack: room for the pairs of nodes that wait."""
+    found = zero()
     top = 1
     while top > 0 and found <= most:
         top -= 1
@@ -202,8 +205,6 @@ def overlapping_pairs(body: AabbTree, cloth: AabbTree, pairs: Ints, most: int = 
                 pairs[found, 1] = body.triangle[b]
             found += 1
             continue
-        if top + 2 > stack.shape[0]:
-            stack = doubled(stack)
         descend_cloth = body_leaf
         if not cloth_leaf and not body_leaf:  # the larger box first: fewer pairs than one tree down to its leaves
             cloth_size = 0.0

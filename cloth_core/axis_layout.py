@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel
 
 __all__ = ["by_axis", "by_particle", "particle_rows"]
 
 Floats = NDArray[np.float64]
 
 
-@kernel
+@borrowing_kernel
 def by_axis(rows: Floats, columns: Floats) -> None:
     """Copy (n, 3) to (3, at least n)."""
     first, second, third = columns[0], columns[1], columns[2]
@@ -22,7 +22,7 @@ def by_axis(rows: Floats, columns: Floats) -> None:
         third[i] = rows[i, 2]
 
 
-@kernel
+@borrowing_kernel
 def by_particle(columns: Floats, rows: Floats) -> None:
     """Copy (3, at least n) to (n, 3)."""
     first, second, third = columns[0], columns[1], columns[2]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment, renumbered
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.lanes import LANES, add_to, fill, fused, last_lane, last_lanes, load, take_from, together
 from cloth_core.runs import Runs, find_runs
 from cloth_core.twist import twist_stiffness
@@ -147,7 +147,7 @@ def _hinge_elements(garment: Garment, hinge: Ints, sides: Ints, number: Ints, be
     return weights, bending / area
 
 
-@kernel
+@borrowing_kernel
 def bending_forces(x: Floats, lines: Runs, hinge: Ints, weights: Floats, stiffness: Floats, force: Floats) -> None:
     """Add -k w_i sum_j w_j x_j to every particle of every bending element.
 

@@ -13,7 +13,7 @@ from cloth_core.aabb_tree import DEPTH, AabbTree, next_leaf
 from cloth_core.body import Body
 from cloth_core.garment import Seam
 from cloth_core.intersections import segment_crosses
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["BlockedLines", "seam_lines"]
 
@@ -45,8 +45,9 @@ class BlockedLines:
         """How many lines between points x (n, 3) [m], pairs (k, 2), pass through the body; at most `enough`."""
         body, most = self._body, len(lines) if enough is None else min(enough, len(lines))
         blocked, tests = _blocked(
-            np.ascontiguousarray(x), lines, body.vertices, body.triangles, body.tree, most, self._left
-        )
+            np.ascontiguousarray(x), lines, body.vertices, body.triangles, body.tree, np.zeros(DEPTH, dtype=np.int32),
+            np.zeros((2, 3)), most, self._left,
+        )  # fmt: skip
         self._left -= tests
         return int(blocked)
 
@@ -61,14 +62,24 @@ def seam_lines(seams: list[Seam]) -> Ints:
     return np.asarray(lines[lines[:, 0] != lines[:, 1]], dtype=np.int32)
 
 
-@kernel
+@borrowing_kernel
 def _blocked(
-    x: Floats, lines: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, most: int, tests_left: int
+    x: Floats,
+    lines: Ints,
+    vertices: Floats,
+    triangles: Ints,
+    tree: AabbTree,
+    waiting: Ints,
+    box: Floats,
+    most: int,
+    tests_left: int,
 ) -> tuple[int, int]:
-    """Lines that cross a triangle, `most` if there are more or tests run out, and the tests that were made."""
+    """Lines that cross a triangle, `most` if there are more or tests run out, and the tests that were made.
+
+    waiting (DEPTH,) and box (2, 3) are scratch.
+    """
     blocked, tests = 0, 0
-    waiting = np.zeros(DEPTH, dtype=np.int32)
-    low, high = np.zeros(3), np.zeros(3)
+    low, high = box[0], box[1]
     if tree.triangle.shape[0] == 0:
         return 0, 0
     for line in range(lines.shape[0]):

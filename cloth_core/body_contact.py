@@ -12,11 +12,11 @@ from cloth_core.body import Body
 from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.errors import SceneError
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel
 from cloth_core.mesh_topology import Representatives
 from cloth_core.near_distances import point_triangle_distances, segment_distances
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, PUSH_TIME
-from cloth_core.pair_list import doubled, write_pair
+from cloth_core.pair_list import PairRoom, write_pair
 from cloth_core.reachable_tree import ReachableTree
 
 __all__ = ["BodyContact", "VertexPlanes", "arm", "hold_vertices", "vertex_body_gaps"]
@@ -157,9 +157,16 @@ class BodyContact:
         margin = np.array(np.broadcast_to(self.side_offset + radius, len(x)))
         cloth_triangles, cloth_edges = triangle_boxes(x, triangles, margin), edge_boxes(x, cloth.edges, margin)
         reach = margin + (self.offset - self.side_offset)
-        vertices, corners, sides = _box_pairs(
-            x, reach, cloth, cloth_triangles, cloth_edges, body_x, own, *self._body_boxes(), self._leaf_pairs[:found]
-        )
+        rooms = PairRoom(3), PairRoom(3), PairRoom(9)
+        done = 0
+        while done < found:
+            for room in rooms:
+                room.make_room()
+            done = _box_pairs(
+                x, reach, cloth, cloth_triangles, cloth_edges, body_x, own, *self._body_boxes(),
+                self._leaf_pairs[:found], done, *(room.pairs for room in rooms), *(room.count for room in rooms),
+            )  # fmt: skip
+        vertices, corners, sides = (room.found for room in rooms)
         distance = point_triangle_distances(x, body_x, body.triangles, vertices)
         near = distance < reach[vertices[:, 0]]
         planes = VertexPlanes.of(len(x), vertices[near], distance[near])
@@ -181,7 +188,7 @@ class BodyContact:
         return self._boxes
 
 
-@kernel
+@borrowing_kernel
 def _box_pairs(
     x: Floats,
     margin: Floats,
@@ -193,24 +200,33 @@ def _box_pairs(
     body_triangles: Floats,
     body_edges: Floats,
     leaf_pairs: Ints,
-) -> tuple[Ints, Ints, Ints]:
+    first: int,
+    vertices: Ints,
+    corners: Ints,
+    sides: Ints,
+    vertices_found: Ints,
+    corners_found: Ints,
+    sides_found: Ints,
+) -> int:
     """Whose boxes overlap in pairs of triangles (p, 2): each twice the index of what the cloth and the body have there.
 
     Shapes: x (n, 3) and margin (n,) of the cloth's vertices [m]; boxes of the triangles and sides of both (any, 8).
 
+    (cloth vertex, body triangle), (body vertex, cloth triangle) and (cloth side, body side) are added to vertices,
+    corners and sides, (any, 2); the numbers of those found, (1,) each, count them. Begins with pair `first`, and ends
+    when it has no room for those of another one.
+
     Returns:
-        (cloth vertex, body triangle), (body vertex, cloth triangle) and (cloth side, body side), (any, 2) each.
+        the pair that is next.
     """
-    vertices, corners, sides = _room_for_pairs(), _room_for_pairs(), _room_for_pairs()
-    vertex_count, corner_count, side_count = 0, 0, 0
-    for pair in range(leaf_pairs.shape[0]):
+    vertex_count, corner_count, side_count = vertices_found[0], corners_found[0], sides_found[0]
+    next_pair: int = leaf_pairs.shape[0]
+    for pair in range(first, leaf_pairs.shape[0]):
+        full = vertex_count + 3 > vertices.shape[0] or corner_count + 3 > corners.shape[0]
+        if full or side_count + 9 > sides.shape[0]:
+            next_pair = pair
+            break
         ct, bt = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
-        if vertex_count + 3 > vertices.shape[0]:
-            vertices = doubled(vertices)
-        if corner_count + 3 > corners.shape[0]:
-            corners = doubled(corners)
-        if side_count + 9 > sides.shape[0]:
-            sides = doubled(sides)
         for k in range(cloth.own_vertices[ct, 0]):
             i = cloth.own_vertices[ct, 1 + k]
             vertices[vertex_count, 0], vertices[vertex_count, 1] = i, bt
@@ -225,12 +241,8 @@ def _box_pairs(
                 j = body.own_edges[bt, 1 + m]
                 sides[side_count, 0], sides[side_count, 1] = i, j
                 side_count += overlap(cloth_edges, i, body_edges, j)
-    return vertices[:vertex_count], corners[:corner_count], sides[:side_count]
-
-
-@kernel
-def _room_for_pairs() -> Ints:
-    return np.empty((4096, 2), dtype=np.int32)
+    vertices_found[0], corners_found[0], sides_found[0] = vertex_count, corner_count, side_count
+    return next_pair
 
 
 @kernel
@@ -264,7 +276,7 @@ def _near_pairs(
     return rows[:count].copy(), distance[:count].copy()
 
 
-@kernel
+@borrowing_kernel
 def vertex_body_gaps(
     x: Floats, planes: VertexPlanes, body_x: Floats, body_triangles: Ints, moved: Floats, needed: Floats, gap: Floats
 ) -> None:
@@ -282,7 +294,7 @@ def vertex_body_gaps(
             gap[i] = min(gap[i], np.sqrt(point_triangle(x[i], body_x[a], body_x[b], body_x[c])[0]))
 
 
-@kernel
+@borrowing_kernel
 def arm(planes: VertexPlanes, i: int) -> None:
     """Let particle i be one that can come to the offset surface."""
     if not planes.is_armed[i]:
@@ -291,7 +303,7 @@ def arm(planes: VertexPlanes, i: int) -> None:
         planes.armed_count[0] += 1
 
 
-@kernel
+@borrowing_kernel
 def _renew_planes(
     i: int,
     x: Floats,
@@ -351,7 +363,7 @@ def _renew_planes(
     planes.at[i, 3] = free * free
 
 
-@kernel
+@borrowing_kernel
 def hold_vertices(
     x: Floats,
     v: Floats,
@@ -407,7 +419,7 @@ def hold_vertices(
         x[i, 0], x[i, 1], x[i, 2] = px, py, pz
 
 
-@kernel
+@borrowing_kernel
 def carry_planes(planes: VertexPlanes, dt: float) -> None:
     """Take the contact planes on by the way that the body's surface goes in a step of dt [s]."""
     for entry in range(planes.armed_count[0]):

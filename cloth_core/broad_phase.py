@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, build_tree, refit_tree
 from cloth_core.body_contact import BodyContact, VertexPlanes
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.mesh_topology import representatives
 from cloth_core.pair_contacts import PairContacts
 from cloth_core.self_contact import SelfContact
@@ -131,7 +131,7 @@ class BroadPhase:
         return _farthest_way(self._body_x, self.body.body.vertices)
 
 
-@kernel
+@borrowing_kernel
 def _farthest_way(before: Floats, now: Floats) -> float:
     """Largest distance between rows of (b, 3) [m]."""
     largest = 0.0

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["Calming", "limit_speed"]
 
@@ -62,7 +62,7 @@ class Calming:
         self.active = movement > allowed
 
 
-@kernel
+@borrowing_kernel
 def limit_speed(v: Floats) -> None:
     """Slow down, in place, what is faster than 3 m/s; v (n, 3) [m/s]."""
     for i in range(v.shape[0]):
@@ -72,7 +72,7 @@ def limit_speed(v: Floats) -> None:
                 v[i, axis] *= _RUSH / speed
 
 
-@kernel
+@borrowing_kernel
 def _brake(v: Floats, before: Floats, share: float) -> None:
     """Multiply what is slower than before by share, stop what has turned round, and note v (n, 3) as before."""
     for i in range(v.shape[0]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel
 
 __all__ = ["away_from_triangle", "point_triangle", "segment_segment"]
 
@@ -23,7 +23,7 @@ def _squared(x: float, y: float, z: float) -> float:
     return x * x + y * y + z * z
 
 
-@kernel
+@borrowing_kernel
 def _segment_segment(
     px: float, py: float, pz: float, qx: float, qy: float, qz: float,
     ax: float, ay: float, az: float, bx: float, by: float, bz: float,
@@ -59,7 +59,7 @@ def _segment_segment(
     return dx * dx + dy * dy + dz * dz, s, t
 
 
-@kernel
+@borrowing_kernel
 def _nearest_side(
     px: float, py: float, pz: float, ax: float, ay: float, az: float,
     bx: float, by: float, bz: float, cx: float, cy: float, cz: float,
@@ -76,7 +76,7 @@ def _nearest_side(
     return squared, u, v, w
 
 
-@kernel
+@borrowing_kernel
 def _point_triangle(
     px: float, py: float, pz: float, ax: float, ay: float, az: float,
     bx: float, by: float, bz: float, cx: float, cy: float, cz: float,
@@ -123,13 +123,13 @@ def _point_triangle(
     return _squared(apx - v * abx - w * acx, apy - v * aby - w * acy, apz - v * abz - w * acz), 1.0 - v - w, v, w
 
 
-@kernel
+@borrowing_kernel
 def segment_segment(p: Floats, q: Floats, a: Floats, b: Floats) -> tuple[float, float, float]:
     """Squared distance [m^2] of segments pq and ab; where the closest points lie, s along pq, t along ab; all (3,)."""
     return _segment_segment(p[0], p[1], p[2], q[0], q[1], q[2], a[0], a[1], a[2], b[0], b[1], b[2])
 
 
-@kernel
+@borrowing_kernel
 def point_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float, float]:
     """Squared distance [m^2] of p to triangle abc and the barycentric coordinates of its closest point; all (3,)."""
     return _point_triangle(p[0], p[1], p[2], a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])

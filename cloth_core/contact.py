@@ -24,7 +24,7 @@ from cloth_core.body_contact import BodyContact, VertexPlanes, arm, carry_planes
 from cloth_core.broad_phase import BroadPhase
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.contact_state import ContactSettings, ContactState, Renewal
-from cloth_core.kernel import kernel, zero
+from cloth_core.kernel import borrowing_kernel, kernel, zero
 from cloth_core.near_planes import (
     NEAR,
     NearPlanes,
@@ -234,7 +234,7 @@ def _near_body(
     return gap, near, count
 
 
-@kernel
+@borrowing_kernel
 def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats) -> bool:
     """Stop every particle at its bound; fill moved (n,) with squared ways [m^2]; whether any has used most of its way.
 
@@ -272,7 +272,7 @@ def keep_within_travel(x: Floats, v: Floats, state: ContactState, moved: Floats)
     ) or (spent > 0)
 
 
-@kernel
+@borrowing_kernel
 def resolve_contacts(
     x: Floats, v: Floats, inverse_mass: Floats, state: ContactState, settings: ContactSettings, dt: float, moved: Floats
 ) -> bool:
@@ -295,7 +295,7 @@ def resolve_contacts(
     return spent
 
 
-@kernel
+@borrowing_kernel
 def carry_body(state: ContactState, settings: ContactSettings, dt: float) -> None:
     """Take the body, and the planes at which it holds particles, on by the way of a step of dt [s]."""
     for i in range(settings.body_vertices.shape[0]):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["semi_implicit_euler"]
 
 Floats = NDArray[np.float64]
 
 
-@kernel
+@borrowing_kernel
 def semi_implicit_euler(x: Floats, v: Floats, force: Floats, inverse_mass: Floats, dt: float) -> None:
     """a = F(t) / m; v(t + dt) = v(t) + dt a; x(t + dt) = x(t) + dt v(t + dt), in place.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel
 
 __all__ = ["certainly_apart"]
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 _ERROR_BOUND = (3.0 + 16.0 * 2.0**-53) * 2.0**-53
 
 
-@kernel
+@borrowing_kernel
 def certainly_apart(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Whether segment pq and triangle abc, all (3,), surely have no point in common; False says nothing.
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["air_drag_forces", "gravity_forces"]
 
 Floats = NDArray[np.float64]
 
 
-@kernel
+@borrowing_kernel
 def gravity_forces(mass: Floats, gravity: Floats, force: Floats) -> None:
     """Set the force to m g; mass (n,) [kg], gravity (3,) [m/s^2], force (3, n) [N]."""
     for axis in range(3):
@@ -21,7 +21,7 @@ def gravity_forces(mass: Floats, gravity: Floats, force: Floats) -> None:
             f[i] = mass[i] * g
 
 
-@kernel
+@borrowing_kernel
 def air_drag_forces(v: Floats, mass: Floats, air_drag: float, force: Floats) -> None:
     """Add -m k_a v; v (3, n) [m/s], mass (n,) [kg], air_drag k_a [1/s], force (3, n) [N].
 

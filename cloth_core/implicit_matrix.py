@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.bending import Bending
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel
 from cloth_core.sparse_cholesky import SparseCholesky, analyse
 from cloth_core.springs import Springs
 from cloth_core.step import ForceTerms
@@ -147,13 +147,13 @@ def assemble(matrix: ImplicitMatrix, x: Floats, terms: ForceTerms, h: float) -> 
         _add_pair(matrix, inverse_mass, matrix.spring_link[s], i, j, across * h * h * matrix.stiffness[s], along,
                   dx, dy, dz)  # fmt: skip
     along = 0.5 * (h * h + h * terms.spring_damping_time)
-    direction = np.zeros((4, 3))
+    direction = np.zeros((5, 3))
     for s in range(matrix.cells.shape[0]):
         _add_cell(matrix, inverse_mass, x, s, along * matrix.cell_stiffness[s], 0.5 * h * h * matrix.cell_stiffness[s],
                   direction)  # fmt: skip
 
 
-@kernel
+@borrowing_kernel
 def limit_forces(matrix: ImplicitMatrix, x: Floats, force: Floats) -> None:
     """Add the additional pull of springs beyond their strain limit; x (n, 3) [m], force (3, n) [N]."""
     for s in range(matrix.longest.shape[0]):
@@ -168,7 +168,7 @@ def limit_forces(matrix: ImplicitMatrix, x: Floats, force: Floats) -> None:
                 force[axis, j] -= pull * d
 
 
-@kernel
+@borrowing_kernel
 def _add_pair(
     matrix: ImplicitMatrix, inverse_mass: Floats, link: int, i: int, j: int,
     across: float, along: float, dx: float, dy: float, dz: float,
@@ -189,15 +189,15 @@ def _add_pair(
         _add_outer(factors.values, at, stride, -ex, -ey, -ez, dx, dy, dz)
 
 
-@kernel
+@borrowing_kernel
 def _add_cell(
     matrix: ImplicitMatrix, inverse_mass: Floats, x: Floats, s: int, along: float, pull: float, direction: Floats
 ) -> None:
     """Add along g g' of cell s, g the way in which its corners change the difference of its diagonals, and what pulled
-    diagonals resist across them: pull times that difference over their length. direction (4, 3) is scratch.
+    diagonals resist across them: pull times that difference over their length. direction (5, 3) is scratch.
     """
     factors, corner, links = matrix.factors, matrix.cells[s], matrix.cell_links[s]
-    lengths = np.empty(2)
+    lengths = direction[4]
     for diagonal in range(2):
         i, j = corner[diagonal], corner[diagonal + 2]
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
@@ -207,7 +207,8 @@ def _add_cell(
         sign = 1.0 if diagonal == 0 else -1.0
         direction[diagonal + 2, 0], direction[diagonal + 2, 1] = sign * dx / length, sign * dy / length
         direction[diagonal + 2, 2] = sign * dz / length
-        direction[diagonal] = -direction[diagonal + 2]
+        for axis in range(3):
+            direction[diagonal, axis] = -direction[diagonal + 2, axis]
     for diagonal in range(2):
         difference = lengths[0] - lengths[1] if diagonal == 0 else lengths[1] - lengths[0]
         across = pull * max(difference, 0.0) / lengths[diagonal]

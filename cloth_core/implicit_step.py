@@ -26,7 +26,7 @@ from cloth_core.axis_layout import by_axis, by_particle
 from cloth_core.contact import keep_within_travel, resolve_contacts
 from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.implicit_matrix import ImplicitMatrix, assemble, limit_forces
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.sparse_cholesky import factorise, solve
 from cloth_core.step import ForceTerms, Workspace, total_force
 
@@ -90,7 +90,7 @@ class ImplicitState(NamedTuple):
         )  # fmt: skip
 
 
-@kernel
+@borrowing_kernel
 def implicit_steps(
     x: Floats,
     v: Floats,
@@ -129,7 +129,7 @@ def implicit_steps(
     return count
 
 
-@kernel
+@borrowing_kernel
 def _take_push_back(x: Floats, v: Floats, inverse_mass: Floats, push: Floats, dt: float) -> None:
     """Take from x, v what the push of the last steps gave: contact finds out anew what is needed."""
     for i in range(x.shape[0]):
@@ -139,7 +139,7 @@ def _take_push_back(x: Floats, v: Floats, inverse_mass: Floats, push: Floats, dt
             x[i, axis] -= dt * change
 
 
-@kernel
+@borrowing_kernel
 def _remember_push(v: Floats, before: Floats, mass: Floats, dt: float, push: Floats) -> None:
     """Take what changed the velocity from `before` to v into the mean force of the last steps."""
     share = 1.0 - np.exp(-dt / _MEMORY)
@@ -148,7 +148,7 @@ def _remember_push(v: Floats, before: Floats, mass: Floats, dt: float, push: Flo
             push[i, axis] += share * ((v[i, axis] - before[i, axis]) * mass[i] / dt - push[i, axis])
 
 
-@kernel
+@borrowing_kernel
 def _advance(
     x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, free: bool,
     state: ImplicitState,
@@ -167,7 +167,7 @@ def _advance(
             return
 
 
-@kernel
+@borrowing_kernel
 def _is_as_left(x: Floats, v: Floats, terms: ForceTerms, state: ImplicitState) -> bool:
     """Whether nothing from outside has changed what is free to move since the last step."""
     for i in range(x.shape[0]):
@@ -178,7 +178,7 @@ def _is_as_left(x: Floats, v: Floats, terms: ForceTerms, state: ImplicitState) -
     return True
 
 
-@kernel
+@borrowing_kernel
 def _step(
     x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, second_order: bool,
     state: ImplicitState,
@@ -209,7 +209,7 @@ def _step(
     return False
 
 
-@kernel
+@borrowing_kernel
 def _newton(work: Workspace, terms: ForceTerms, h: float, state: ImplicitState) -> float:
     """One iteration of Newton's method on the trial state; how far it moves the particles, RMS [m]."""
     trial_x, trial_v, base_x, base_v = state.trial_x, state.trial_v, state.base_x, state.base_v

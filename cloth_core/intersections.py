@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import DEPTH, AabbTree, build_tree, next_leaf
 from cloth_core.flat_separation import certainly_apart
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.mesh_topology import unique_edges
 from cloth_core.orientation import exact_orientation, orientation, quick_orientation
-from cloth_core.pair_list import doubled
+from cloth_core.pair_list import PairRoom
 
 __all__ = [
     "crossed_triangles",
@@ -88,7 +88,17 @@ def crossed_triangles(vertices: Floats, triangles: Ints, identity: Ints | None =
 
 def _pairs(x: Floats, edges: Ints, other_x: Floats, other_triangles: Ints, tree: AabbTree, number: Ints) -> Ints:
     x, other_x = np.ascontiguousarray(x), np.ascontiguousarray(other_x)
-    crossed, touched = _edges_through(x, edges, other_x, other_triangles, tree, number)
+    crossed_room, touched_room = PairRoom(len(other_triangles)), PairRoom(len(other_triangles), columns=4)
+    waiting, box = np.zeros(DEPTH, dtype=np.int32), np.zeros((2, 3))
+    done = 0
+    while len(tree.triangle) > 0 and done < len(edges):
+        crossed_room.make_room()
+        touched_room.make_room()
+        done = _edges_through(
+            x, edges, other_x, other_triangles, tree, number, waiting, box, done, crossed_room.pairs,
+            crossed_room.count, touched_room.pairs, touched_room.count,
+        )  # fmt: skip
+    crossed, touched = crossed_room.found, touched_room.found
     if len(touched):
         # Of the sides that end in a triangle those cross that have a partner on the other side of it.
         end = edges[touched[:, 0], touched[:, 2]].astype(np.int64)
@@ -100,20 +110,39 @@ def _pairs(x: Floats, edges: Ints, other_x: Floats, other_triangles: Ints, tree:
     return np.unique(crossed, axis=0) if len(crossed) else crossed
 
 
-@kernel
+@borrowing_kernel
 def _edges_through(
-    x: Floats, edges: Ints, vertices: Floats, triangles: Ints, tree: AabbTree, number: Ints
-) -> tuple[Ints, Ints]:
+    x: Floats,
+    edges: Ints,
+    vertices: Floats,
+    triangles: Ints,
+    tree: AabbTree,
+    number: Ints,
+    waiting: Ints,
+    box: Floats,
+    first: int,
+    crossed: Ints,
+    crossed_found: Ints,
+    touched: Ints,
+    touched_found: Ints,
+) -> int:
     """Pairs (side, triangle) that cross, (k, 2), and rows (side, triangle, which end, sign of the other end) of sides
     that end in a triangle, (j, 4). With a number for each vertex, what shares a corner is left out.
+
+    They are added to crossed and touched, where the numbers of those found, (1,) each, count them. Begins with side
+    `first`; waiting (DEPTH,) and box (2, 3) are scratch.
+
+    Returns:
+        the side that is next, if there is no room for one that crosses all triangles.
     """
-    crossed, crossed_count = np.empty((64, 2), dtype=np.int32), 0
-    touched, touched_count = np.empty((64, 4), dtype=np.int32), 0
-    waiting = np.zeros(DEPTH, dtype=np.int32)
-    low, high = np.zeros(3), np.zeros(3)
+    low, high = box[0], box[1]
     same_mesh = number.shape[0] > 0
-    for e in range(edges.shape[0]):
-        if tree.triangle.shape[0] == 0:
+    crossed_count, touched_count = crossed_found[0], touched_found[0]
+    next_side: int = edges.shape[0]
+    for e in range(first, edges.shape[0]):
+        room = min(crossed.shape[0] - crossed_count, touched.shape[0] - touched_count)
+        if room < triangles.shape[0]:
+            next_side = e
             break
         i, j = edges[e, 0], edges[e, 1]
         p, q = x[i], x[j]
@@ -146,23 +175,20 @@ def _edges_through(
             if above == below or not _line_meets(p, q, va, vb, vc):
                 continue
             if above != 0 and below != 0:
-                if crossed_count == crossed.shape[0]:
-                    crossed = doubled(crossed)
                 crossed[crossed_count, 0] = e
                 crossed[crossed_count, 1] = here
                 crossed_count += 1
             else:
-                if touched_count == touched.shape[0]:
-                    touched = doubled(touched)
                 touched[touched_count, 0] = e
                 touched[touched_count, 1] = here
                 touched[touched_count, 2] = 0 if above == 0 else 1
                 touched[touched_count, 3] = above + below
                 touched_count += 1
-    return crossed[:crossed_count].copy(), touched[:touched_count].copy()
+    crossed_found[0], touched_found[0] = crossed_count, touched_count
+    return next_side
 
 
-@kernel
+@borrowing_kernel
 def segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Whether p and q lie strictly on different sides of abc and pq passes through it, sides and corners included."""
     if orientation(a, b, c, p) * orientation(a, b, c, q) >= 0:
@@ -170,7 +196,7 @@ def segment_crosses(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bo
     return _line_meets(p, q, a, b, c)
 
 
-@kernel
+@borrowing_kernel
 def _line_meets(p: Floats, q: Floats, a: Floats, b: Floats, c: Floats) -> bool:
     """Whether the line pq, which does not lie in the plane of abc, meets abc, sides and corners included."""
     u, v, w = orientation(p, q, a, b), orientation(p, q, b, c), orientation(p, q, c, a)

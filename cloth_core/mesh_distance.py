@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree
+from cloth_core.aabb_tree import DEPTH, AabbTree
 from cloth_core.closest_points import point_triangle
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["distances_to_mesh"]
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
-@kernel
+@borrowing_kernel
 def _box_distance(tree: AabbTree, node: int, p: Floats) -> float:
     squared = 0.0
     for k in range(3):
@@ -24,12 +24,16 @@ def _box_distance(tree: AabbTree, node: int, p: Floats) -> float:
     return squared
 
 
-@kernel
 def distances_to_mesh(points: Floats, vertices: Floats, triangles: Ints, tree: AabbTree) -> Floats:
     """Distance of each point (k, 3) to the nearest triangle [m], shape (k,)."""
-    out = np.empty(points.shape[0])
-    # Trees are balanced: 22 levels hold two million triangles, and a level adds one entry.
-    stack = np.zeros(128, dtype=np.int32)
+    out = np.empty(len(points))
+    _measure(points, vertices, triangles, tree, np.zeros(DEPTH, dtype=np.int32), out)
+    return out
+
+
+@borrowing_kernel
+def _measure(points: Floats, vertices: Floats, triangles: Ints, tree: AabbTree, stack: Ints, out: Floats) -> None:
+    """As `distances_to_mesh`, written to out (k,); stack: room for the nodes that wait."""
     for i in range(points.shape[0]):
         p = points[i]
         best = np.inf
@@ -53,4 +57,3 @@ def distances_to_mesh(points: Floats, vertices: Floats, triangles: Ints, tree: A
             stack[top + 1] = right
             top += 2
         out[i] = np.sqrt(best)
-    return out

@@ -13,7 +13,7 @@ from cloth_core.errors import SceneError, SimulationError
 from cloth_core.grasp import Grasps
 from cloth_core.implicit_matrix import build_matrix
 from cloth_core.implicit_step import ImplicitState, implicit_steps
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.model import Model
 from cloth_core.moving_body import BodyMotion
 from cloth_core.resting_regions import RestingRegions, awake_terms
@@ -374,7 +374,7 @@ class Motion:
         raise SimulationError(failure)
 
 
-@kernel
+@borrowing_kernel
 def _first_out_of_bounds(x: Floats, v: Floats) -> int:
     """First particle whose place is not finite or whose speed is none that cloth can have, -1 if there is none."""
     for i in range(x.shape[0]):
@@ -384,7 +384,7 @@ def _first_out_of_bounds(x: Floats, v: Floats) -> int:
     return -1
 
 
-@kernel
+@borrowing_kernel
 def _any_beyond(moved: Floats, travel: Floats, share: float) -> bool:
     """Whether anything has moved by more than a share of its travel [m]; moved is squared [m^2], all (n,)."""
     for i in range(moved.shape[0]):

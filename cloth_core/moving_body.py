@@ -17,7 +17,7 @@ from cloth_core.body import Body
 from cloth_core.closest_points import point_triangle
 from cloth_core.contact_state import ContactState
 from cloth_core.errors import BodyError
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.pair_contacts import PairContacts, measure_pair
 
 __all__ = ["BodyMotion"]
@@ -121,7 +121,7 @@ class BodyMotion:
         planes.arm_all()
         safe = _safe_time(
             x, planes.start, planes.body_triangle, pairs, self.body.vertices, self.body.triangles, self._speed,
-            self._full_velocity,
+            self._full_velocity, np.zeros(3),
         )  # fmt: skip
         if self._highest_speed > 0.0:
             # What is not listed is farther apart than half the offset beyond the reach of the cloth.
@@ -132,7 +132,7 @@ class BodyMotion:
         return contacts._replace(travel=0.5 * contacts.travel, near=near)
 
 
-@kernel
+@borrowing_kernel
 def _safe_time(
     x: Floats,
     start: Ints,
@@ -142,14 +142,14 @@ def _safe_time(
     body_triangles: Ints,
     speed: Floats,
     velocity: Floats,
+    closest: Floats,
 ) -> float:
     """Shortest time [s] in which a body moving at `velocity` (b, 3) [m/s] could reach cloth that the search found.
 
     Parts of body and cloth are convex: what does not move towards the plane between them never meets the cloth, so that
-    a body can always withdraw from what it has pinched. speed (b,): length of the velocities.
+    a body can always withdraw from what it has pinched. speed (b,): length of the velocities; closest (3,) is scratch.
     """
     shortest = np.inf
-    closest = np.zeros(3)
     for i in range(x.shape[0]):
         for entry in range(start[i], start[i + 1]):
             t = body_triangle[entry]
@@ -181,7 +181,7 @@ def _safe_time(
     return shortest
 
 
-@kernel
+@borrowing_kernel
 def _approach(i: int, velocity: Floats, closest: Floats) -> float:
     """Speed of body vertex i along the vector between closest points (3,) [m/s]; inf where that has no direction."""
     length = np.sqrt(closest[0] * closest[0] + closest[1] * closest[1] + closest[2] * closest[2])
@@ -190,7 +190,7 @@ def _approach(i: int, velocity: Floats, closest: Floats) -> float:
     return float((velocity[i, 0] * closest[0] + velocity[i, 1] * closest[1] + velocity[i, 2] * closest[2]) / length)
 
 
-@kernel
+@borrowing_kernel
 def _time_to_close(gap: float, approach: float, fastest: float) -> float:
     """Time [s] for a gap [m]; approach at most `fastest` [m/s], and none that is only rounding."""
     approach = min(approach, fastest)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel
 from cloth_core.lanes import LANES, fill, larger, load, smaller, store, where_positive
 
 __all__ = ["point_triangle_distances", "segment_distances"]
@@ -88,7 +88,7 @@ def _dot(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:
     return ax * bx + ay * by + az * bz
 
 
-@kernel
+@borrowing_kernel
 def _segments(ends: Floats) -> Any:
     """Squared distances of eight pairs of segments; ends: 12 coordinates, of eight pairs each."""
     zero, one, least = fill(0.0), fill(1.0), fill(_NO_LENGTH)
@@ -109,7 +109,7 @@ def _segments(ends: Floats) -> Any:
     return _dot(dx, dy, dz, dx, dy, dz)
 
 
-@kernel
+@borrowing_kernel
 def _points_and_triangles(ends: Floats) -> Any:
     """Squared distances of eight points to eight triangles; ends: 12 coordinates, of eight pairs each."""
     px, py, pz = load(ends, 0), load(ends, LANES), load(ends, 2 * LANES)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX, PairContacts
 
 __all__ = [
@@ -86,7 +86,7 @@ class NearPlanes(NamedTuple):
         return cls.of(np.zeros((0, 5)))
 
 
-@kernel
+@borrowing_kernel
 def room_towards(gap: float, distance: float) -> float:
     """How far each of two parts may go towards the other [m]; -1 if no plane can be put between them.
 
@@ -112,7 +112,7 @@ def add_plane(planes: Floats, count: int, i: int, nx: float, ny: float, nz: floa
     return planes
 
 
-@kernel
+@borrowing_kernel
 def put_plane(planes: NearPlanes, i: int, nx: float, ny: float, nz: float, room: float) -> bool:
     """Add a plane of particle i with its normal and room [m]; False if there is no place for it."""
     at = planes.number[0]
@@ -126,7 +126,7 @@ def put_plane(planes: NearPlanes, i: int, nx: float, ny: float, nz: float, room:
     return True
 
 
-@kernel
+@borrowing_kernel
 def forget_planes(planes: NearPlanes, i: int) -> None:
     """Remove the planes of particle i."""
     k = 0
@@ -141,7 +141,7 @@ def forget_planes(planes: NearPlanes, i: int) -> None:
         planes.number[0] = last
 
 
-@kernel
+@borrowing_kernel
 def keep_on_own_side(x: Floats, v: Floats, origin: Floats, planes: NearPlanes) -> bool:
     """Stop particles at their planes, x and v (n, 3) in place; whether any has used up room that it had.
 
@@ -176,7 +176,7 @@ def keep_on_own_side(x: Floats, v: Floats, origin: Floats, planes: NearPlanes) -
     return spent
 
 
-@kernel
+@borrowing_kernel
 def side_of_pair(kind: int, k: int) -> float:
     """1 if particle k of a pair belongs to the first part, towards which its normal points, -1 if to the second."""
     if kind == CLOTH_SIDE:
@@ -186,7 +186,7 @@ def side_of_pair(kind: int, k: int) -> float:
     return 1.0
 
 
-@kernel
+@borrowing_kernel
 def room_of_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats, distance: float) -> float:
     """How far each part of pair s may go towards the other [m], -1 if no plane can be put between them.
 

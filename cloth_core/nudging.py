@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cloth_core.blocked_lines import BlockedLines
 from cloth_core.body import Body
 from cloth_core.intersections import crossing_pairs, segment_crosses, self_crossing_pairs
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["nudged_apart"]
 
@@ -157,7 +157,7 @@ def _better(x: Floats, triangles: Ints, body: Body | None, found: _Crossings) ->
     return None
 
 
-@kernel
+@borrowing_kernel
 def _crossing_sides(x: Floats, sides: Ints, triangles: Ints) -> int:
     """How many of some sides (e, 2) pass through a triangle (m, 3) with which they share no corner."""
     count = 0

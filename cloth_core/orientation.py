@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel, zero
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel, zero
 
 __all__ = ["exact_orientation", "orientation", "quick_orientation"]
 
@@ -25,7 +25,7 @@ _SPLITTER = 134217729.0
 _MOST_PARTS = 96
 
 
-@kernel
+@borrowing_kernel
 def orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
     """1 if d lies on the side of abc from which abc runs counter-clockwise, -1 on the other, 0 in its plane; all (3,).
 
@@ -35,7 +35,7 @@ def orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
     return sign if sign != 0 else exact_orientation(a, b, c, d)
 
 
-@kernel
+@borrowing_kernel
 def quick_orientation(a: Floats, b: Floats, c: Floats, d: Floats) -> int:
     """As `orientation` where floating point is sure of the sign, 0 where it is not."""
     bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -69,7 +69,7 @@ def _exact_product(x: float, y: float) -> tuple[float, float]:
     return product, rest
 
 
-@kernel
+@borrowing_kernel
 def _add(parts: Floats, count: int, value: float) -> int:
     """Add a number to an expansion without rounding (Shewchuk's Grow-Expansion, zeros left out); its new length."""
     kept = 0

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.closest_points import point_triangle, segment_segment
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel
 
 __all__ = [
     "BODY_SIDE",
@@ -158,7 +158,7 @@ def _places(before: PairContacts, after: PairContacts, start: Ints, entries: Int
     return place
 
 
-@kernel
+@borrowing_kernel
 def repeat_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, dt: float) -> None:
     """Give each contact what it needed in the last step; x, v (n, 3), inverse_mass (n,), dt [s]."""
     for entry in range(pairs.active_count[0]):
@@ -185,7 +185,7 @@ def hold_pairs(
     since the search [m], and body_way, that of the body at most; friction is Coulomb's coefficient; push_speed [m/s]
     bounds how fast what is too near leaves.
     """
-    count = _find_active(x, v, inverse_mass, pairs, body_x, body_v, body_way, dt, moved)
+    count = _find_active(x, v, inverse_mass, pairs, body_x, body_v, body_way, dt, moved, np.empty(3))
     if count == 0:
         return
     # What the sweeps need of each contact, side by side; a particle that is not there is one of no weight.
@@ -277,7 +277,7 @@ def hold_pairs(
             x[i, 2] += part * wz
 
 
-@kernel
+@borrowing_kernel
 def _find_active(
     x: Floats,
     v: Floats,
@@ -288,10 +288,13 @@ def _find_active(
     body_way: float,
     dt: float,
     moved: Floats,
+    closest: Floats,
 ) -> int:
-    """Measure the pairs that can have come near; list those in contact, with weights, normal and gap."""
+    """Measure the pairs that can have come near; list those in contact, with weights, normal and gap.
+
+    closest (3,) is scratch.
+    """
     count = 0
-    closest = np.zeros(3)
     for entry in range(pairs.listed_count[0]):
         s = pairs.listed[entry]
         size = pairs.impulse[s]
@@ -327,7 +330,7 @@ def _find_active(
     return count
 
 
-@kernel
+@borrowing_kernel
 def _way(pairs: PairContacts, s: int, moved: Floats) -> float:
     """How much nearer the parts of pair s can have come, from squared ways (n,) [m^2]."""
     kind = pairs.kind[s]
@@ -357,7 +360,7 @@ def nearer_by(kinds: Ints, particles: Ints, s: int, length: Floats) -> float:
     return float(most)
 
 
-@kernel
+@borrowing_kernel
 def measure_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest: Floats) -> float:
     """Squared distance of pair s [m^2]; sets its weights and the vector between its closest points, closest (3,)."""
     kind = pairs.kind[s]
@@ -392,7 +395,7 @@ def measure_pair(x: Floats, pairs: PairContacts, s: int, body_x: Floats, closest
     return float(squared)
 
 
-@kernel
+@borrowing_kernel
 def _compliance(inverse_mass: Floats, pairs: PairContacts, s: int) -> float:
     """Relative velocity that a unit impulse gives [1/kg]."""
     compliance = 0.0
@@ -402,7 +405,7 @@ def _compliance(inverse_mass: Floats, pairs: PairContacts, s: int) -> float:
     return compliance
 
 
-@kernel
+@borrowing_kernel
 def _relative_velocity(v: Floats, body_v: Floats, pairs: PairContacts, s: int) -> tuple[float, float, float]:
     """Velocity of the first part's closest point relative to the other's [m/s]."""
     vx, vy, vz = 0.0, 0.0, 0.0
@@ -417,7 +420,7 @@ def _relative_velocity(v: Floats, body_v: Floats, pairs: PairContacts, s: int) -
     return vx - bx, vy - by, vz - bz
 
 
-@kernel
+@borrowing_kernel
 def _body_velocity(body_v: Floats, pairs: PairContacts, s: int) -> tuple[float, float, float]:
     """Velocity of the body's closest point [m/s], 0 where the other part is cloth."""
     c, d = pairs.body[s, 0], pairs.body[s, 1]
@@ -434,7 +437,7 @@ def _body_velocity(body_v: Floats, pairs: PairContacts, s: int) -> tuple[float, 
     )
 
 
-@kernel
+@borrowing_kernel
 def _apply_kept(
     x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, s: int, share: float, dt: float
 ) -> None:
@@ -449,7 +452,7 @@ def _apply_kept(
     )  # fmt: skip
 
 
-@kernel
+@borrowing_kernel
 def _apply(
     x: Floats, v: Floats, inverse_mass: Floats, pairs: PairContacts, s: int, px: float, py: float, pz: float, dt: float
 ) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.contact_state import ContactState
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.lanes import LANES
 from cloth_core.model import Model
 from cloth_core.rest import RestWatch
@@ -133,7 +133,7 @@ class RestingRegions:
         chosen[members[met][there[met]]] = True
 
 
-@kernel
+@borrowing_kernel
 def _find_comers(particles: Ints, listed: Ints, asleep: Bools, x: Floats, place: Floats, disturbed: Bools) -> None:
     """Note in disturbed (k,) who has moved and may touch what sleeps; particles (s, 4), -1 for none, of those listed.
 

@@ -12,15 +12,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree, boxes_overlap, build_tree, refit_tree
+from cloth_core.aabb_tree import DEPTH, AabbTree, boxes_overlap, build_tree, refit_tree
 from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel, zero
 from cloth_core.mesh_topology import Representatives, point_neighbours, representatives
 from cloth_core.near_distances import point_triangle_distances, segment_distances
 from cloth_core.pair_contacts import CLOTH_SIDE, CLOTH_VERTEX
-from cloth_core.pair_list import doubled, write_pair
+from cloth_core.pair_list import PairRoom, write_pair
 from cloth_core.seam_gaps import ClosingSeams
 from cloth_core.smooth_windows import SmoothWindows, common_window, node_windows
 
@@ -213,31 +213,41 @@ class SelfContact:
         # Of the offset each of the two has a half.
         margin = np.array(np.broadcast_to(0.5 * self.offset + radius, len(x)))
         triangle_box, edge_box = triangle_boxes(x, triangles, margin), edge_boxes(x, own.edges, margin)
-        vertices, sides = _box_pairs(x, margin, triangles, own, triangle_box, edge_box, number, pairs)
+        vertices, sides = PairRoom(6), PairRoom(9)
+        done = 0
+        while done < len(pairs):
+            vertices.make_room()
+            sides.make_room()
+            done = _box_pairs(
+                x, margin, triangles, own, triangle_box, edge_box, number, pairs, done, vertices.pairs, vertices.count,
+                sides.pairs, sides.count,
+            )  # fmt: skip
         return _near_pairs(
             margin, triangles, triangle_box, own.edges, edge_box, number, *neighbours, self._room, self.offset,
-            vertices, point_triangle_distances(x, x, triangles, vertices),
-            sides, segment_distances(x, own.edges, x, own.edges, sides),
+            vertices.found, point_triangle_distances(x, x, triangles, vertices.found),
+            sides.found, segment_distances(x, own.edges, x, own.edges, sides.found),
         )  # fmt: skip
 
 
-@kernel
 def self_overlapping_pairs(tree: AabbTree, left_out: Ints, pairs: Ints, most: int = 2**62) -> int:
     """Traversal of a tree against itself: all pairs of different triangles whose boxes overlap, each once.
 
     left_out: smooth windows of each node, (nodes, 4), or none, (0, 4): what has one in common does not meet. At most
     len(pairs) are written to pairs (p, 2); the number found is returned. The search ends at more than `most`.
     """
-    found = 0
-    if tree.triangle.shape[0] == 0:
-        return found
-    stack = np.zeros((1024, 2), dtype=np.int32)
+    if len(tree.triangle) == 0:
+        return 0
+    return int(_overlapping_pairs(tree, left_out, np.zeros((2 * DEPTH, 2), dtype=np.int32), pairs, most))
+
+
+@borrowing_kernel
+def _overlapping_pairs(tree: AabbTree, left_out: Ints, stack: Ints, pairs: Ints, most: int) -> int:
+    """As `self_overlapping_pairs`, of a tree that has leaves; stack: room for the pairs of nodes that wait."""
+    found = zero()
     top = 1
     while top > 0 and found <= most:
         top -= 1
         i, j = stack[top, 0], stack[top, 1]
-        if top + 4 > stack.shape[0]:
-            stack = doubled(stack)
         if i != j and not boxes_overlap(tree, i, tree, j):
             continue
         if left_out.shape[0] > 0 and common_window(left_out, i, j):
@@ -268,7 +278,7 @@ def self_overlapping_pairs(tree: AabbTree, left_out: Ints, pairs: Ints, most: in
     return found
 
 
-@kernel
+@borrowing_kernel
 def _are_neighbours(start: Ints, neighbours: Ints, i: int, j: int) -> bool:
     for entry in range(start[i], start[i + 1]):
         if neighbours[entry] == j:
@@ -276,7 +286,7 @@ def _are_neighbours(start: Ints, neighbours: Ints, i: int, j: int) -> bool:
     return False
 
 
-@kernel
+@borrowing_kernel
 def _box_pairs(
     x: Floats,
     margin: Floats,
@@ -286,21 +296,28 @@ def _box_pairs(
     edge_box: Floats,
     number: Ints,
     leaf_pairs: Ints,
-) -> tuple[Ints, Ints]:
+    first: int,
+    vertices: Ints,
+    vertices_found: Ints,
+    sides: Ints,
+    sides_found: Ints,
+) -> int:
     """Whose boxes overlap in pairs of triangles (p, 2), but for what has a point (by number (n,)) in common.
 
     Shapes: x (n, 3), margin (n,) [m]; boxes of the triangles (m, 8) and sides (e, 8).
 
+    (vertex, triangle) and (side, side) are added to vertices and sides, (any, 2); the numbers of those found, (1,)
+    each, count them. Begins with pair `first`, and ends when it has no room for those of another one.
+
     Returns:
-        (vertex, triangle) and (side, side), (any, 2) each.
+        the pair that is next.
     """
-    vertices, sides = np.empty((4096, 2), dtype=np.int32), np.empty((4096, 2), dtype=np.int32)
-    vertex_count, side_count = 0, 0
-    for pair in range(leaf_pairs.shape[0]):
-        if vertex_count + 6 > vertices.shape[0]:
-            vertices = doubled(vertices)
-        if side_count + 9 > sides.shape[0]:
-            sides = doubled(sides)
+    vertex_count, side_count = vertices_found[0], sides_found[0]
+    next_pair: int = leaf_pairs.shape[0]
+    for pair in range(first, leaf_pairs.shape[0]):
+        if vertex_count + 6 > vertices.shape[0] or side_count + 9 > sides.shape[0]:
+            next_pair = pair
+            break
         for turn in range(2):
             one, other = leaf_pairs[pair, turn], leaf_pairs[pair, 1 - turn]
             for k in range(cloth.own_vertices[one, 0]):
@@ -323,7 +340,8 @@ def _box_pairs(
                 shared = (lp == la) | (lp == lb) | (lq == la) | (lq == lb)
                 sides[side_count, 0], sides[side_count, 1] = i, j
                 side_count += overlap(edge_box, i, edge_box, j) & (not shared)
-    return vertices[:vertex_count], sides[:side_count]
+    vertices_found[0], sides_found[0] = vertex_count, side_count
+    return next_pair
 
 
 @kernel

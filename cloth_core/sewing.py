@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment, Seam
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["SeamPull", "build_seam_pull", "renumbered_pull", "seam_forces", "seam_gaps"]
 
@@ -81,7 +81,7 @@ def renumbered_pull(pull: SeamPull, number: Ints) -> SeamPull:
     )
 
 
-@kernel
+@borrowing_kernel
 def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Floats) -> None:
     """Pull both ends of each pair to openness * start_length; x, v, force (3, n) [m, m/s, N]."""
     for s in range(seam.pairs.shape[0]):

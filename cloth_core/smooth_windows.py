@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.mesh_topology import unique_edges
 
 if TYPE_CHECKING:
@@ -255,12 +255,26 @@ class SmoothWindows:
         return _least_around(self.room_of_triangles(), triangles, particles)
 
 
-@kernel
 def smoothness(x: Floats, triangles: Ints, windows: Windows, least: Floats, asked: Bools) -> Bools:
     """Which of the windows asked for (w,) have m of at least `least` (w,), at x (n, 3) [m] with triangles (m, 3)."""
-    count = windows.inverse_rest.shape[0]
-    f = np.empty((6, count))
-    for t in range(count):
+    result = np.zeros(asked.shape[0], dtype=np.bool_)
+    _find_smooth(x, triangles, windows, least, asked, np.empty((6, windows.inverse_rest.shape[0])), np.empty(6), result)
+    return result
+
+
+@borrowing_kernel
+def _find_smooth(
+    x: Floats,
+    triangles: Ints,
+    windows: Windows,
+    least: Floats,
+    asked: Bools,
+    f: Floats,
+    mean: Floats,
+    result: Bools,
+) -> None:
+    """As `smoothness`, where result (w,) is true then; f (6, m) and mean (6,) are scratch."""
+    for t in range(f.shape[1]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         a, b, c, d = (
             windows.inverse_rest[t, 0],
@@ -272,18 +286,15 @@ def smoothness(x: Floats, triangles: Ints, windows: Windows, least: Floats, aske
             u, w = x[j, axis] - x[i, axis], x[k, axis] - x[i, axis]
             f[axis, t] = u * a + w * c
             f[3 + axis, t] = u * b + w * d
-    result = np.zeros(asked.shape[0], dtype=np.bool_)
-    mean = np.empty(6)
     for number in range(asked.shape[0]):
         if not asked[number]:
             continue
         cover = windows.cover[windows.start[number] : windows.start[number + 1]]
         _add_up(f, cover, mean)
         result[number] = _turned_towards(mean) and _all_beyond(f, cover, mean, least[number])
-    return result
 
 
-@kernel
+@borrowing_kernel
 def _add_up(f: Floats, cover: Ints, total: Floats) -> None:
     """Sum of F over the triangles of cover; f (6, m), total (6,)."""
     a = b = c = d = e = g = 0.0  # not in an array: each sum would wait for its number to be written and read again
@@ -322,7 +333,7 @@ def _least_around(value: Floats, triangles: Ints, particles: int) -> Floats:
     return least
 
 
-@kernel
+@borrowing_kernel
 def _turned_towards(mean: Floats) -> bool:
     """Replace F (two columns, (6,)) by the Q of its polar decomposition F = Q S; False if there is none."""
     uu = mean[0] * mean[0] + mean[1] * mean[1] + mean[2] * mean[2]
@@ -342,7 +353,7 @@ def _turned_towards(mean: Floats) -> bool:
     return True
 
 
-@kernel
+@borrowing_kernel
 def _all_beyond(f: Floats, cover: Ints, q: Floats, least: float) -> bool:
     """Whether the symmetric part of Q'F is at least `least` in all triangles of cover; f (6, m), q (6,)."""
     below = 0
@@ -390,7 +401,7 @@ def node_windows(tree: AabbTree, of_triangle: Ints, smooth: Bools) -> Ints:
     return common
 
 
-@kernel
+@borrowing_kernel
 def common_window(common: Ints, i: int, j: int) -> bool:
     """Whether two rows of windows (any, k) have one in common."""
     for k in range(common.shape[1]):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import inlined_kernel, kernel
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel
 from cloth_core.lanes import LANES, fill, fused, load, store, take_from
 
 __all__ = ["SparseCholesky", "analyse", "factorise", "solve"]
@@ -204,7 +204,7 @@ def _supernodes(structure: list[NDArray[np.int64]]) -> NDArray[np.int64]:
     return np.array(first, dtype=np.int64)
 
 
-@kernel
+@borrowing_kernel
 def factorise(system: SparseCholesky) -> bool:
     """Turn the matrix in `values` into its factor L, A = L L', in place; False if A is not positive definite."""
     for s in range(system.stride.shape[0]):
@@ -217,7 +217,7 @@ def factorise(system: SparseCholesky) -> bool:
     return True
 
 
-@kernel
+@borrowing_kernel
 def _eliminate(values: Floats, start: int, stride: int, width: int, height: int) -> bool:
     """Cholesky of one panel: its own columns, and the rows below divided by them."""
     for c in range(width):
@@ -236,7 +236,7 @@ def _eliminate(values: Floats, start: int, stride: int, width: int, height: int)
     return True
 
 
-@kernel
+@borrowing_kernel
 def _update(system: SparseCholesky, s: int, u: int) -> None:
     """Take from panel s what an earlier supernode contributes: the product of two blocks of its rows."""
     k, low, high = system.update[u, 0], system.update[u, 1], system.update[u, 2]

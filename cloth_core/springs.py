@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_core.fabric import Fabric
 from cloth_core.garment import Garment
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.lanes import (
     LANES,
     add_to,
@@ -234,7 +234,7 @@ def _combined(pairs: Ints, length: Floats, stiffness: Floats, family: NDArray[np
     return Springs(np.ascontiguousarray(ends, dtype=np.int32), rest_length, k, kind)
 
 
-@kernel
+@borrowing_kernel
 def spring_forces(x: Floats, v: Floats, springs: Runs, damping_time: float, force: Floats) -> None:
     """Add F = k (1 - L0 / |d|) d and the damping k tau (dv . d / |d|) d / |d| to both ends (paper, section III).
 

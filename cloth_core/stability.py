@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.lanes import LANES, fill, fused, load, store, take_from
 
 __all__ = ["StableStep", "largest_eigenpair", "stable_time_step"]
@@ -153,7 +153,7 @@ def _dot(a: Floats, b: Floats) -> float:
     return float(eight.sum())
 
 
-@kernel
+@borrowing_kernel
 def _take_part(w: Floats, q: Floats, part: float) -> None:
     """w - part q for whole registers, in place."""
     lanes = fill(part)

@@ -18,7 +18,7 @@ from cloth_core.contact import carry_body, keep_within_travel, resolve_contacts
 from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.euler import semi_implicit_euler
 from cloth_core.gravity_and_air import air_drag_forces, gravity_forces
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.runs import Runs
 from cloth_core.sewing import SeamPull, seam_forces
 from cloth_core.springs import spring_forces
@@ -93,7 +93,7 @@ class Workspace(NamedTuple):
         return cls(*room.reshape(arrays, 3, row))
 
 
-@kernel
+@borrowing_kernel
 def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, work: Workspace) -> None:
     """Sum of all forces on each particle at x, v (n, 3) (paper, equation 1), written to work.force [N]."""
     by_axis(x, work.x)
@@ -101,7 +101,7 @@ def total_force(x: Floats, v: Floats, terms: ForceTerms, openness: float, work: 
     _forces(terms, openness, work)
 
 
-@kernel
+@borrowing_kernel
 def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
     """Sum of all forces at work.x, work.v, written to work.force."""
     gravity_forces(terms.mass, terms.gravity, work.force)
@@ -122,7 +122,7 @@ def _forces(terms: ForceTerms, openness: float, work: Workspace) -> None:
         seam_forces(work.x, work.v, terms.seam, openness, work.force)
 
 
-@kernel
+@borrowing_kernel
 def run_steps(
     x: Floats,
     v: Floats,

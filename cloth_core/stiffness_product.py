@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cloth_core.axis_layout import by_axis
 from cloth_core.bending import bending_forces
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.step import ForceTerms
 from cloth_core.trellis import add_trellis_stiffness
 from cloth_core.twist import twist_forces
@@ -92,7 +92,7 @@ def spring_rows(x: Floats, pairs: Ints, rest_length: Floats, stiffness: Floats) 
     return rows
 
 
-@kernel
+@borrowing_kernel
 def _add_spring_stiffness(
     u: Floats, pairs: Ints, rows: NDArray[np.float32], across_weight: float, along_weight: float, out: Floats
 ) -> None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.springs import SpringFamily, Springs
 
 __all__ = [
@@ -84,7 +84,7 @@ def no_strain_limit() -> StrainLimit:
     return StrainLimit(ints.reshape(0, 2), floats, floats, floats.copy(), ints, np.zeros(1, dtype=np.int32))
 
 
-@kernel
+@borrowing_kernel
 def watch_strain(x: Floats, limit: StrainLimit) -> None:
     """Note the springs that are near their limit; x (n, 3) [m]."""
     count = 0
@@ -99,7 +99,7 @@ def watch_strain(x: Floats, limit: StrainLimit) -> None:
     limit.watched_count[0] = count
 
 
-@kernel
+@borrowing_kernel
 def repeat_strain_impulses(x: Floats, v: Floats, inverse_mass: Floats, limit: StrainLimit, dt: float) -> None:
     """Give each watched spring what it needed in the last step, before contact and its friction have their say."""
     for entry in range(limit.watched_count[0]):
@@ -108,7 +108,7 @@ def repeat_strain_impulses(x: Floats, v: Floats, inverse_mass: Floats, limit: St
             _pull(x, v, inverse_mass, limit.pairs[s, 0], limit.pairs[s, 1], limit.impulse[s], dt)
 
 
-@kernel
+@borrowing_kernel
 def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, limit: StrainLimit, dt: float) -> None:
     """Bring the watched springs back within their limit at the end of a step, in place.
 
@@ -155,7 +155,7 @@ def hold_strain(x: Floats, v: Floats, inverse_mass: Floats, limit: StrainLimit, 
         x[j, 2] -= b * dz
 
 
-@kernel
+@borrowing_kernel
 def _pull(x: Floats, v: Floats, inverse_mass: Floats, i: int, j: int, impulse: float, dt: float) -> None:
     """Pull i and j together by an impulse [N s] along their line."""
     dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]

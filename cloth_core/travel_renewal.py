@@ -18,7 +18,7 @@ from cloth_core.axis_layout import particle_rows
 from cloth_core.body_contact import arm
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.contact_state import ContactState, Renewal
-from cloth_core.kernel import inlined_kernel, kernel, zero
+from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel, zero
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
 from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
 
@@ -76,7 +76,7 @@ def pairs_of_particles(particles: Ints, count: int) -> tuple[Ints, Ints]:
     return start[: count + 1], entries
 
 
-@kernel
+@borrowing_kernel
 def enough_of_radius(left: float, wanted: float, radius: float) -> bool:
     """Whether what is left of a particle's radius [m] will do for a while, `radius` being the largest one."""
     enough = min(max(_ENOUGH_OF_REACH * wanted, _ENOUGH), _ENOUGH_OF_RADIUS * radius)
@@ -92,17 +92,25 @@ def renew_spent(
     Shapes: x, v (n, 3) [m, m/s]; moved (n,), squared ways from the origins [m^2], is set to 0 for those renewed; body_x
     (b, 3) [m], body_triangles (t, 3); dt: step [s]. After a failure all of moved is infinite.
     """
-    if state.renewal.allowed and _all_renewed(x, v, state, body_x, body_triangles, moved, dt):
+    if state.renewal.allowed and _all_renewed(x, v, state, body_x, body_triangles, moved, dt, np.empty(3)):
         return True
     # Whatever of it has been done is good for nothing: nobody may take the way of any particle for granted.
     moved[:] = np.inf
     return False
 
 
-@kernel
+@borrowing_kernel
 def _all_renewed(
-    x: Floats, v: Floats, state: ContactState, body_x: Floats, body_triangles: Ints, moved: Floats, dt: float
+    x: Floats,
+    v: Floats,
+    state: ContactState,
+    body_x: Floats,
+    body_triangles: Ints,
+    moved: Floats,
+    dt: float,
+    closest: Floats,
 ) -> bool:
+    """As `renew_spent`; closest (3,) is scratch."""
     renewal = state.renewal
     most = min(max(int(_FEW * x.shape[0]), _FEW_OF_FEW), x.shape[0])
     renewal.turn[0] += 1
@@ -121,14 +129,14 @@ def _all_renewed(
             count += 1
     done = zero()
     while done < count:
-        count = _renew(renewal.waiting[done], done, count, x, v, state, body_x, body_triangles, moved, dt)
+        count = _renew(renewal.waiting[done], done, count, x, v, state, body_x, body_triangles, moved, dt, closest)
         done += 1
         if count < 0 or count > most:
             return False
     return True
 
 
-@kernel
+@borrowing_kernel
 def _renew(
     p: int,
     at: int,
@@ -140,8 +148,12 @@ def _renew(
     body_triangles: Ints,
     moved: Floats,
     dt: float,
+    closest: Floats,
 ) -> int:
-    """Renew particle p, number `at` of `count` that wait; how many wait then, -1 if all contacts must be searched."""
+    """Renew particle p, number `at` of `count` that wait; how many wait then, -1 if all contacts must be searched.
+
+    closest (3,) is scratch.
+    """
     renewal, planes, pairs = state.renewal, state.planes, state.pairs
     speed = np.sqrt(v[p, 0] ** 2 + v[p, 1] ** 2 + v[p, 2] ** 2)
     wanted = max(renewal.steps * dt * speed, renewal.least_reach)
@@ -178,7 +190,6 @@ def _renew(
     state.travel[p] = granted
     moved[p] = 0.0
     renewal.renewed[p] = renewal.turn[0]
-    closest = np.zeros(3)
     origin = particle_rows(state.origin, x.shape[0])
     for entry in range(renewal.start[p], renewal.start[p + 1]):
         s = renewal.entries[entry]

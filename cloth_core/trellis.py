@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.garment import Garment
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.lanes import (
     LANES,
     add_to,
@@ -51,7 +51,7 @@ def trellis_stiffness(garment: Garment, shear: float) -> Floats:
     return np.asarray(shear * 2.0 * width * height / (width**2 + height**2), dtype=np.float64)
 
 
-@kernel
+@borrowing_kernel
 def trellis_forces(x: Floats, v: Floats, cells: Runs, damping_time: float, force: Floats) -> None:
     """Add the forces of all cells to force; damping acts like a strain of damping_time times its rate.
 
@@ -166,7 +166,7 @@ def trellis_rows(x: Floats, cells: Ints, stiffness: Floats) -> NDArray[np.float3
     return rows
 
 
-@kernel
+@borrowing_kernel
 def add_trellis_stiffness(
     u: Floats, cells: Ints, rows: NDArray[np.float32], across_weight: float, along_weight: float, out: Floats
 ) -> None:

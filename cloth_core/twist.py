@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.garment import Garment
-from cloth_core.kernel import kernel
+from cloth_core.kernel import borrowing_kernel
 from cloth_core.lanes import LANES, add_to, fill, last_lane, last_lanes, load, take_from, together
 from cloth_core.runs import Runs
 
@@ -31,7 +31,7 @@ def twist_stiffness(garment: Garment, bending: float) -> Floats:
     return np.asarray(2.0 * bending / (width * height), dtype=np.float64)
 
 
-@kernel
+@borrowing_kernel
 def twist_forces(x: Floats, cells: Runs, force: Floats) -> None:
     """Add -k w_i (xa - xb + xc - xd) to the corners i of every cell.
 

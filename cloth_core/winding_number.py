@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.aabb_tree import AabbTree
-from cloth_core.kernel import kernel
+from cloth_core.aabb_tree import DEPTH, AabbTree
+from cloth_core.kernel import borrowing_kernel, kernel
 
 __all__ = ["Dipoles", "dipoles", "winding_numbers"]
 
@@ -83,11 +83,18 @@ def dipoles(vertices: Floats, triangles: Ints, tree: AabbTree) -> Dipoles:
     return Dipoles(centre, moment, spread, radius, area)
 
 
-@kernel
 def winding_numbers(points: Floats, vertices: Floats, triangles: Ints, tree: AabbTree, sums: Dipoles) -> Floats:
     """Winding number of a mesh around each of the points (k, 3) [m], right to about 0.01; shape (k,)."""
-    out = np.zeros(points.shape[0])
-    stack = np.zeros(128, dtype=np.int32)
+    out = np.zeros(len(points))
+    _wind(points, vertices, triangles, tree, sums, np.zeros(DEPTH, dtype=np.int32), out)
+    return out
+
+
+@borrowing_kernel
+def _wind(
+    points: Floats, vertices: Floats, triangles: Ints, tree: AabbTree, sums: Dipoles, stack: Ints, out: Floats
+) -> None:
+    """As `winding_numbers`, written to out (k,); stack: room for the nodes that wait."""
     for i in range(points.shape[0]):
         p = points[i]
         angle = 0.0
@@ -119,10 +126,9 @@ def winding_numbers(points: Floats, vertices: Floats, triangles: Ints, tree: Aab
             stack[top + 1] = node + 1
             top += 2
         out[i] = angle / (4.0 * np.pi)
-    return out
 
 
-@kernel
+@borrowing_kernel
 def _solid_angle(p: Floats, a: Floats, b: Floats, c: Floats) -> float:
     """Signed solid angle of abc as seen from p (van Oosterom and Strackee 1983)."""
     ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
