@@ -40,6 +40,7 @@ from cloth_core.pair_contacts import (
     COUNTS_FROM,
     PairContacts,
     hold_pairs,
+    list_pair,
     measure_pair,
     nearer_by,
     repeat_impulses,
@@ -179,8 +180,7 @@ def _narrow_phase(
             place[s] = -1
             continue
         place[s] = count
-        pairs.listed[count] = s
-        pairs.listed_distance[count] = distance
+        list_pair(pairs, count, s, distance)
         count += 1
         if distance < NEAR:
             room = room_of_pair(x, pairs, s, body_x, closest, distance)

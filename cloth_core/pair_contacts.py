@@ -27,6 +27,7 @@ __all__ = [
     "PUSH_TIME",
     "PairContacts",
     "hold_pairs",
+    "list_pair",
     "measure_pair",
     "nearer_by",
     "repeat_impulses",
@@ -69,6 +70,9 @@ class PairContacts(NamedTuple):
         stuck: by how much more slowly the pair comes out than others, because it did not get anywhere [s], (s,).
         listed: pairs that can come into contact before the next search; the first listed_count[0] count, (s,).
         listed_distance: their distances at the search [m], (s,).
+        listed_particles: their particles, one of them again where there is none, (s, 4).
+        listed_room: a pair need not be measured while no particle of it has gone farther than this, squared [m^2];
+            below 0: it must be, (s,).
         active: pairs in contact; the first active_count[0] count, (s,).
     """
 
@@ -85,6 +89,8 @@ class PairContacts(NamedTuple):
     stuck: Floats
     listed: Ints
     listed_distance: Floats
+    listed_particles: Ints
+    listed_room: Floats
     listed_count: Ints
     active: Ints
     active_count: Ints
@@ -107,6 +113,8 @@ class PairContacts(NamedTuple):
             stuck=np.zeros(count),
             listed=np.zeros(count, dtype=np.int32),
             listed_distance=np.zeros(count),
+            listed_particles=np.zeros((count, 4), dtype=np.int32),
+            listed_room=np.zeros(count),
             listed_count=np.zeros(1, dtype=np.int32),
             active=np.zeros(count, dtype=np.int32),
             active_count=np.zeros(1, dtype=np.int32),
@@ -163,6 +171,27 @@ def repeat_impulses(x: Floats, v: Floats, inverse_mass: Floats, pairs: PairConta
     """Give each contact what it needed in the last step; x, v (n, 3), inverse_mass (n,), dt [s]."""
     for entry in range(pairs.active_count[0]):
         _apply_kept(x, v, inverse_mass, pairs, pairs.active[entry], 1.0, dt)
+
+
+@borrowing_kernel
+def list_pair(pairs: PairContacts, entry: int, s: int, distance: float) -> None:
+    """Let pair s, so far apart at the search [m], be one that is looked at in each step."""
+    pairs.listed[entry] = s
+    pairs.listed_distance[entry] = distance
+    pairs.listed_room[entry] = -1.0  # the next step finds out
+    for k in range(4):
+        i = pairs.particles[s, k]
+        pairs.listed_particles[entry, k] = i if i >= 0 else pairs.particles[s, 0]
+
+
+@inlined_kernel
+def _room(pairs: PairContacts, entry: int, s: int) -> float:
+    """What listed_room is for a listed pair that gives no impulse, where the body stands still [m^2]."""
+    room = pairs.listed_distance[entry] - COUNTS_FROM * pairs.offset[s]
+    if pairs.kind[s] == CLOTH_VERTEX or pairs.kind[s] == CLOTH_SIDE:
+        room *= 0.5
+    # A little less, so that rounding decides nothing.
+    return (1.0 - 1e-9) * room * room if room > 0.0 else -1.0
 
 
 @kernel
@@ -296,6 +325,8 @@ def _find_active(
     """
     count = 0
     for entry in range(pairs.listed_count[0]):
+        if body_way == 0.0 and _within_room(pairs.listed_particles, entry, moved, pairs.listed_room[entry]):
+            continue
         s = pairs.listed[entry]
         size = pairs.impulse[s]
         if size > 0.0:  # it was given on trust at the beginning of the step, where the parts touched in the last one
@@ -309,7 +340,9 @@ def _find_active(
             pairs.impulse[s] = pairs.gap[s] = 0.0
             for axis in range(3):
                 pairs.friction[s, axis] = 0.0
+            pairs.listed_room[entry] = _room(pairs, entry, s)
             continue
+        pairs.listed_room[entry] = -1.0
         distance = np.sqrt(squared)
         for axis in range(3):
             pairs.normal[s, axis] = closest[axis] / distance
@@ -328,6 +361,17 @@ def _find_active(
         count += 1
     pairs.active_count[0] = count
     return count
+
+
+@inlined_kernel
+def _within_room(particles: Ints, entry: int, moved: Floats, room: float) -> bool:
+    """Whether none of the particles in a row (4,) has gone farther than that; squared ways (n,) [m^2]."""
+    return bool(
+        (moved[particles[entry, 0]] <= room)
+        & (moved[particles[entry, 1]] <= room)
+        & (moved[particles[entry, 2]] <= room)
+        & (moved[particles[entry, 3]] <= room)
+    )
 
 
 @borrowing_kernel

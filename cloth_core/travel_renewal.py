@@ -20,7 +20,7 @@ from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.contact_state import ContactState, Renewal
 from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel, zero
 from cloth_core.near_planes import NEAR, forget_planes, put_plane, room_of_pair, room_towards, side_of_pair
-from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, measure_pair, nearer_by
+from cloth_core.pair_contacts import BODY_SIDE, BODY_VERTEX, COUNTS_FROM, list_pair, measure_pair, nearer_by
 
 __all__ = [
     "BODY_TRAVEL",
@@ -199,10 +199,9 @@ def _renew(
             distance = np.sqrt(measure_pair(origin, pairs, s, body_x, closest))
         if distance < needed and renewal.place[s] < 0:
             renewal.place[s] = pairs.listed_count[0]
-            pairs.listed[pairs.listed_count[0]] = s
             pairs.listed_count[0] += 1
         if renewal.place[s] >= 0:
-            pairs.listed_distance[renewal.place[s]] = distance
+            list_pair(pairs, renewal.place[s], s, distance)
         if distance >= needed:
             continue
         if distance < NEAR:
