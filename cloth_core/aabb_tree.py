@@ -136,14 +136,14 @@ def _refit(tree: AabbTree, vertices: Floats, triangles: Ints, margin: Floats) ->
 
 @inlined_kernel
 def boxes_overlap(one: AabbTree, i: int, other: AabbTree, j: int) -> bool:
-    """Whether box i of one tree and box j of the other have a point in common."""
+    """Whether box i of one tree and box j of the other have a point in common; in one go, without a branch."""
     return bool(
-        one.lower[i, 0] <= other.upper[j, 0]
-        and other.lower[j, 0] <= one.upper[i, 0]
-        and one.lower[i, 1] <= other.upper[j, 1]
-        and other.lower[j, 1] <= one.upper[i, 1]
-        and one.lower[i, 2] <= other.upper[j, 2]
-        and other.lower[j, 2] <= one.upper[i, 2]
+        (one.lower[i, 0] <= other.upper[j, 0])
+        & (other.lower[j, 0] <= one.upper[i, 0])
+        & (one.lower[i, 1] <= other.upper[j, 1])
+        & (other.lower[j, 1] <= one.upper[i, 1])
+        & (one.lower[i, 2] <= other.upper[j, 2])
+        & (other.lower[j, 2] <= one.upper[i, 2])
     )
 
 

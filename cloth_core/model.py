@@ -21,7 +21,7 @@ from cloth_core.sewing import SeamPull, build_seam_pull, renumbered_pull
 from cloth_core.springs import SpringFamily, Springs, build_springs
 from cloth_core.stability import StableStep, stable_time_step
 from cloth_core.step import ForceTerms
-from cloth_core.stiffness_product import StiffnessTerms, spring_rows, weighted_product
+from cloth_core.stiffness_product import StiffnessProduct, StiffnessTerms, spring_rows
 from cloth_core.strain_limit import build_strain_limit, no_strain_limit
 from cloth_core.switched_off import marked_off, scene_without
 from cloth_core.trellis import trellis_rows, trellis_stiffness
@@ -237,7 +237,7 @@ class Model:
             cell_rows=trellis_rows(x, self.trellis, self.trellis_stiffness),
             forces=self.force_terms(air_drag),
         )
-        return stable_time_step(lambda u, k, c: weighted_product(terms, u, k, c), self.inverse_mass, mode, tolerance)
+        return stable_time_step(StiffnessProduct(terms, len(x)), self.inverse_mass, mode, tolerance)
 
     def longest_step(self, stable: StableStep) -> float:
         """Time step [s] to use: the settings' share of the stable one, and no longer than is sensible without one."""

@@ -167,13 +167,14 @@ def stable_time_step(
     """Largest dt with dt^2 K + 2 dt C < 4 M.
 
     Args:
-        weighted: u (n, 3), k, c -> k K u + c C u, a new array; K [N/m] and C [N s/m] are symmetric and positive
-            semi-definite.
+        weighted: u (n, 3), k, c -> k K u + c C u, an array that may be the same for all products; K [N/m] and C
+            [N s/m] are symmetric and positive semi-definite.
         inverse_mass: [1/kg], shape (n,), 0 where a particle is fixed.
         start: a mode to start from, for example the last one, shape (n, 3).
         tolerance: relative residual of the eigenvalue.
     """
     scale = np.sqrt(inverse_mass)[:, None]
+    scaled_u = np.empty((len(inverse_mass), 3))
     stir = _every_direction(len(inverse_mass))
 
     def along(mode: Floats) -> tuple[float, float]:
@@ -182,7 +183,7 @@ def stable_time_step(
         return float((scaled * weighted(scaled, 1.0, 0.0)).sum()), float((scaled * weighted(scaled, 0.0, 1.0)).sum())
 
     def both(u: Floats, step: float) -> Floats:
-        total = weighted(scale * u, step * step, 2.0 * step)
+        total = weighted(np.multiply(scale, u, out=scaled_u), step * step, 2.0 * step)
         total *= scale
         return total
 

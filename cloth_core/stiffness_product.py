@@ -18,7 +18,7 @@ from cloth_core.step import ForceTerms
 from cloth_core.trellis import add_trellis_stiffness
 from cloth_core.twist import twist_forces
 
-__all__ = ["StiffnessTerms", "spring_rows", "weighted_product"]
+__all__ = ["StiffnessProduct", "StiffnessTerms", "spring_rows"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -40,15 +40,37 @@ class StiffnessTerms(NamedTuple):
     forces: ForceTerms
 
 
-@kernel
-def weighted_product(terms: StiffnessTerms, u: Floats, k: float, c: float) -> Floats:
-    """k K u + c C u with stiffness K [N/m] and damping C [N s/m], for a displacement u (n, 3)."""
+class StiffnessProduct:
+    """Stiffness K [N/m] and damping C [N s/m] of a model's terms, times a displacement.
+
+    Args:
+        terms: of the model.
+        particles: how many there are.
+    """
+
+    def __init__(self, terms: StiffnessTerms, particles: int) -> None:
+        self._terms = terms
+        # All products use the same room.
+        self._total = np.empty((particles, 3))
+        self._axes, self._bends = np.empty((2, 3, particles))
+
+    def __call__(self, u: Floats, k: float, c: float) -> Floats:
+        """k K u + c C u for a displacement u (n, 3); the next product takes its place."""
+        _weighted_product(self._terms, u, k, c, self._axes, self._bends, self._total)
+        return self._total
+
+
+@borrowing_kernel
+def _weighted_product(
+    terms: StiffnessTerms, u: Floats, k: float, c: float, axes: Floats, bends: Floats, total: Floats
+) -> None:
+    """k K u + c C u, written to total (n, 3); axes and bends (3, n) are scratch."""
     forces, seam = terms.forces, terms.forces.seam
-    total = np.zeros_like(u)
+    total[:] = 0.0
+    bends[:] = 0.0
     along_weight = k + c * forces.spring_damping_time
     _add_spring_stiffness(u, terms.pairs, terms.spring_rows, k, along_weight, total)
     add_trellis_stiffness(u, terms.cells, terms.cell_rows, k, along_weight, total)
-    axes, bends = np.empty((3, u.shape[0])), np.zeros((3, u.shape[0]))
     by_axis(u, axes)
     bending_forces(axes, forces.lines, forces.hinges, forces.hinge_weights, forces.hinge_stiffness, bends)
     twist_forces(axes, forces.twists, bends)
@@ -69,7 +91,6 @@ def weighted_product(terms: StiffnessTerms, u: Floats, k: float, c: float) -> Fl
             drag = c * forces.air_drag * forces.mass[i]
             for axis in range(3):
                 total[i, axis] += drag * u[i, axis]
-    return total
 
 
 @kernel
