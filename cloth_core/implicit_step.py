@@ -26,7 +26,7 @@ from cloth_core.axis_layout import by_axis, by_particle
 from cloth_core.contact import keep_within_travel, resolve_contacts
 from cloth_core.contact_state import ContactSettings, ContactState
 from cloth_core.implicit_matrix import ImplicitMatrix, assemble, limit_forces
-from cloth_core.kernel import borrowing_kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.sparse_cholesky import factorise, solve
 from cloth_core.step import ForceTerms, Workspace, total_force
 
@@ -90,7 +90,7 @@ class ImplicitState(NamedTuple):
         )  # fmt: skip
 
 
-@borrowing_kernel
+@kernel
 def implicit_steps(
     x: Floats,
     v: Floats,
@@ -148,7 +148,7 @@ def _remember_push(v: Floats, before: Floats, mass: Floats, dt: float, push: Flo
             push[i, axis] += share * ((v[i, axis] - before[i, axis]) * mass[i] / dt - push[i, axis])
 
 
-@borrowing_kernel
+@kernel
 def _advance(
     x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, free: bool,
     state: ImplicitState,
@@ -178,7 +178,7 @@ def _is_as_left(x: Floats, v: Floats, terms: ForceTerms, state: ImplicitState) -
     return True
 
 
-@borrowing_kernel
+@kernel
 def _step(
     x: Floats, v: Floats, work: Workspace, terms: ForceTerms, dt: float, second_order: bool,
     state: ImplicitState,
@@ -209,7 +209,7 @@ def _step(
     return False
 
 
-@borrowing_kernel
+@kernel
 def _newton(work: Workspace, terms: ForceTerms, h: float, state: ImplicitState) -> float:
     """One iteration of Newton's method on the trial state; how far it moves the particles, RMS [m]."""
     trial_x, trial_v, base_x, base_v = state.trial_x, state.trial_v, state.base_x, state.base_v
