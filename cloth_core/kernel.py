@@ -32,7 +32,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _config: Any = numba.config
 _njit: Any = numba.njit
-
+# No option that Numba documents: a version that no longer has it counts references.
+_UNCOUNTED = {"_nrt": False} if hasattr(numba.core.options.DefaultOptions, "_nrt") else {}
 
 _IMPORT = re.compile(r"^\s*from cloth_core\.(\w+) import", re.MULTILINE)
 
@@ -65,7 +66,7 @@ def kernel(function: F) -> F:
 
 def borrowing_kernel(function: F) -> F:
     """Compile a function that makes no arrays and returns none, at its first call: it counts no references."""
-    return _compiled(function, inline="never", counts_references=False)
+    return _compiled(function, inline="never", **_UNCOUNTED)
 
 
 def inlined_kernel(function: F) -> F:
@@ -73,8 +74,8 @@ def inlined_kernel(function: F) -> F:
     return _compiled(function, inline="always")
 
 
-def _compiled(function: F, inline: str, counts_references: bool = True) -> F:
-    options = {"nogil": True, "error_model": "numpy", "inline": inline, "_nrt": counts_references}
+def _compiled(function: F, **options: Any) -> F:
+    options |= {"nogil": True, "error_model": "numpy"}
     # The place is read when the function is decorated; other packages' functions keep theirs.
     before = _config.CACHE_DIR
     _config.CACHE_DIR = str(cache_directory(function.__module__))
