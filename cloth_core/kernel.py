@@ -32,8 +32,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _config: Any = numba.config
 _njit: Any = numba.njit
-# No option that Numba documents: a version that no longer has it counts references.
-_UNCOUNTED = {"_nrt": False} if hasattr(numba.core.options.DefaultOptions, "_nrt") else {}
+# No option that Numba documents: where there is none, references are counted. It has to be given in any case, since
+# otherwise what is called for the first time is compiled as its caller is.
+_CAN_DO_WITHOUT_COUNTING = hasattr(numba.core.options.DefaultOptions, "_nrt")
 
 _IMPORT = re.compile(r"^\s*from cloth_core\.(\w+) import", re.MULTILINE)
 
@@ -66,7 +67,7 @@ def kernel(function: F) -> F:
 
 def borrowing_kernel(function: F) -> F:
     """Compile a function that makes no arrays and returns none, at its first call: it counts no references."""
-    return _compiled(function, inline="never", **_UNCOUNTED)
+    return _compiled(function, inline="never", counts_references=False)
 
 
 def inlined_kernel(function: F) -> F:
@@ -74,8 +75,10 @@ def inlined_kernel(function: F) -> F:
     return _compiled(function, inline="always")
 
 
-def _compiled(function: F, **options: Any) -> F:
-    options |= {"nogil": True, "error_model": "numpy"}
+def _compiled(function: F, inline: str, counts_references: bool = True) -> F:
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": inline}
+    if _CAN_DO_WITHOUT_COUNTING:
+        options["_nrt"] = counts_references
     # The place is read when the function is decorated; other packages' functions keep theirs.
     before = _config.CACHE_DIR
     _config.CACHE_DIR = str(cache_directory(function.__module__))

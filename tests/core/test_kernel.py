@@ -14,7 +14,7 @@ from numba.core.errors import NumbaError
 
 import cloth_core
 from cloth_core.aabb_tree import build_tree
-from cloth_core.kernel import borrowing_kernel
+from cloth_core.kernel import borrowing_kernel, kernel
 from cloth_core.mesh_distance import distances_to_mesh
 from cloth_core.pair_list import PairRoom
 
@@ -51,6 +51,18 @@ def test_borrowing_kernel_that_makes_an_array_does_not_compile():
     makes.__module__ = "cloth_core.kernel"
     with pytest.raises(NumbaError, match="Only accept returning of array passed"):
         borrowing_kernel(makes)(3)
+
+
+def test_kernel_that_makes_arrays_compiles_when_a_borrowing_one_calls_it_first():
+    def largest(count: int) -> float:
+        return float(np.arange(count).max())
+
+    def twice(count: int) -> float:
+        return 2.0 * inner(count)
+
+    largest.__module__ = twice.__module__ = "cloth_core.kernel"
+    inner = kernel(largest)
+    assert borrowing_kernel(twice)(8) == 14.0
 
 
 def test_rows_that_a_kernel_passes_on_keep_their_array_alive_and_let_go_of_it():
