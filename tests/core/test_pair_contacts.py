@@ -83,6 +83,33 @@ def test_impulses_are_those_of_sweeping_over_the_contacts_one_by_one(seed: int, 
     np.testing.assert_allclose(state.pairs.impulse, impulse, rtol=1e-9, atol=1e-18)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_pairs_are_left_unmeasured_only_where_that_changes_nothing(seed: int) -> None:
+    runs = two_layers(seed), two_layers(seed)
+    left, touching = 0, set()
+    for _ in range(80):
+        for every, (x, v, inverse_mass, state) in enumerate(runs):
+            x += DT * v
+            moved = ((x - state.origin.T) ** 2).sum(axis=1)
+            pairs = state.pairs
+            count = pairs.listed_count[0]
+            if every:
+                pairs.listed_room[:] = -1.0
+            else:
+                assert (pairs.listed_particles[:count] >= 0).all()
+                farthest = moved[pairs.listed_particles[:count]].max(axis=1)
+                left += int((farthest <= pairs.listed_room[:count]).sum())
+            hold_pairs(x, v, inverse_mass, pairs, NOTHING, NOTHING, 0.0, 0.4, PUSH_SPEED, DT, moved)
+            touching.add(tuple(pairs.active[: pairs.active_count[0]]))
+        for mine, theirs in zip(runs[0][:2], runs[1][:2], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+        one, other = runs[0][3].pairs, runs[1][3].pairs
+        for name in ("active_count", "impulse", "friction", "gap", "stuck"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert left > 1000
+    assert len(touching) > 40  # they come and go
+
+
 def tip_above_a_face(height: float) -> tuple[Floats, Floats, PairContacts]:
     """A triangle that stands on its tip, `height` above one that is held: places, inverse masses, contacts."""
     x = np.array([[-1, -1, 0], [1, -1, 0], [0, 1, 0], [0, 0, 0], [-0.5, 0, 1], [0.5, 0, 1]]) * SPACING
