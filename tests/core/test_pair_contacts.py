@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cloth_core.contact import Contact
 from cloth_core.contact_state import ContactState
-from cloth_core.pair_contacts import PUSH_TIME, PairContacts, hold_pairs
+from cloth_core.pair_contacts import CLOTH_VERTEX, COUNTS_FROM, PUSH_TIME, PairContacts, hold_pairs
 from cloth_core.self_contact import SelfContact
 
 Floats = NDArray[np.float64]
@@ -123,6 +123,22 @@ def tip_above_a_face(height: float) -> tuple[Floats, Floats, PairContacts]:
 
 def hold(x: Floats, inverse_mass: Floats, pairs: PairContacts) -> None:
     hold_pairs(x, np.zeros_like(x), inverse_mass, pairs, NOTHING, NOTHING, 0.0, 0.0, PUSH_SPEED, DT, np.full(6, 1e-4))
+
+
+@pytest.mark.parametrize(("beyond", "touching"), [(1e-6, 1), (-1e-6, 0)])
+def test_parts_that_meet_half_way_are_measured_in_time(beyond: float, touching: int) -> None:
+    x, inverse_mass, pairs = tip_above_a_face(1.5 * OFFSET)
+    inverse_mass[:] = 1e5
+    hold_pairs(x, np.zeros_like(x), inverse_mass, pairs, NOTHING, NOTHING, 0.0, 0.0, PUSH_SPEED, DT, np.zeros(6))
+    assert pairs.active_count[0] == 0
+    tip = (pairs.kind == CLOTH_VERTEX) & (pairs.particles[:, 0] == 3)
+    assert tip.sum() == 1
+    way = 0.5 * (1.5 - COUNTS_FROM) * OFFSET * (1.0 + beyond)
+    x[:3, 2] += way
+    x[3:, 2] -= way
+    moved = np.full(6, way**2)
+    hold_pairs(x, np.zeros_like(x), inverse_mass, pairs, NOTHING, NOTHING, 0.0, 0.0, PUSH_SPEED, DT, moved)
+    assert np.isin(np.flatnonzero(tip), pairs.active[: pairs.active_count[0]]).sum() == touching
 
 
 def test_what_is_too_near_and_free_comes_out_exponentially() -> None:
