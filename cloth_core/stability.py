@@ -23,8 +23,8 @@ Floats = NDArray[np.float64]
 Operator = Callable[[Floats], Floats]
 WeightedSum = Callable[[Floats, float, float], Floats]
 
-# Room for Lanczos' vectors [bytes]; where there are more, none is kept.
-_KEPT_BYTES = 3_000_000
+# Lanczos' vectors that are kept, where there is room for all of them [bytes]; where there are more, none is.
+_KEPT, _KEPT_BYTES = 24, 5_000_000
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,11 @@ def largest_eigenpair(
     recurrence = _Recurrence(operator, start / norm)
     value, residual, weights = 0.0, math.inf, np.ones(1)
     kept: list[Floats] = []
+    most = _KEPT if 8 * size * _KEPT <= _KEPT_BYTES else 0
     for k in range(iterations):
-        if 8 * size * (k + 1) > _KEPT_BYTES:
+        if k == most:
             kept.clear()
-        elif len(kept) == k:
+        elif k < most:
             kept.append(recurrence.vector[:size].copy())
         recurrence.advance()
         alpha, beta = recurrence.alpha, recurrence.beta
