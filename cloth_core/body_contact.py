@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import AabbTree, overlapping_pairs
 from cloth_core.body import Body
-from cloth_core.boxes import edge_boxes, in_box, overlap, triangle_boxes
+from cloth_core.boxes import ROW, edge_boxes, in_box, overlap, put_edge_box, put_triangle_box, triangle_boxes
 from cloth_core.closest_points import away_from_triangle, point_triangle
 from cloth_core.errors import SceneError
 from cloth_core.kernel import borrowing_kernel, inlined_kernel, kernel
@@ -125,8 +125,8 @@ class BodyContact:
         self.reachable = ReachableTree()
         self.side_offset = _SIDE_OFFSET_SHARE * offset
         self._leaf_pairs = np.zeros((4096, 2), dtype=np.int32)
-        self._boxes: tuple[Floats, Floats] | None = None
-        self._boxes_of: Body | None = None
+        self._boxes = _BodyBoxes.of(body)
+        self._boxes_of = body
 
     def candidates(
         self, x: Floats, triangles: Ints, cloth: Representatives, tree: AabbTree, radius: float | Floats
@@ -163,7 +163,7 @@ class BodyContact:
             for room in rooms:
                 room.make_room()
             done = _box_pairs(
-                x, reach, cloth, cloth_triangles, cloth_edges, body_x, own, *self._body_boxes(),
+                x, reach, cloth, cloth_triangles, cloth_edges, body_x, body.triangles, own, self._body_boxes(),
                 self._leaf_pairs[:found], done, *(room.pairs for room in rooms), *(room.count for room in rooms),
             )  # fmt: skip
         vertices, corners, sides = (room.found for room in rooms)
@@ -176,16 +176,40 @@ class BodyContact:
         )  # fmt: skip
         return planes, rows, np.full(len(rows), self.side_offset), distance
 
-    def _body_boxes(self) -> tuple[Floats, Floats]:
-        """Boxes of the body's triangles and sides, (t, 8) and (e, 8), as long as it stays where it is."""
-        if self._boxes is None or self._boxes_of is not self.body:
-            x, none = self.body.vertices, np.zeros(len(self.body.vertices))
-            self._boxes = (
-                triangle_boxes(x, self.body.triangles, none),
-                edge_boxes(x, self.body.representatives.edges, none),
-            )
+    def _body_boxes(self) -> _BodyBoxes:
+        """Boxes of what has been near of the body so far, as long as it stays where it is."""
+        if self._boxes_of is not self.body:
+            self._boxes.made[:] = False
             self._boxes_of = self.body
         return self._boxes
+
+
+class _BodyBoxes(NamedTuple):
+    """Boxes of a body's triangles and of the sides that they own, made for those that the search comes near to.
+
+    Attributes:
+        triangles, edges: (t, 8) and (e, 8), as from `cloth_core.boxes`.
+        made: whether those of a triangle have been, (t,).
+    """
+
+    triangles: Floats
+    edges: Floats
+    made: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, body: Body) -> _BodyBoxes:
+        """None is made yet."""
+        triangles, edges = len(body.triangles), len(body.representatives.edges)
+        return cls(np.empty((triangles, ROW)), np.empty((edges, ROW)), np.zeros(triangles, dtype=np.bool_))
+
+
+@borrowing_kernel
+def _make_boxes(boxes: _BodyBoxes, t: int, x: Floats, triangles: Ints, body: Representatives) -> None:
+    """Those of triangle t of a body with vertices x (b, 3) [m]."""
+    put_triangle_box(boxes.triangles, t, x, triangles, 0.0)
+    for k in range(body.own_edges[t, 0]):
+        put_edge_box(boxes.edges, body.own_edges[t, 1 + k], x, body.edges, 0.0)
+    boxes.made[t] = True
 
 
 @borrowing_kernel
@@ -196,9 +220,9 @@ def _box_pairs(
     cloth_triangles: Floats,
     cloth_edges: Floats,
     body_x: Floats,
+    body_triangles: Ints,
     body: Representatives,
-    body_triangles: Floats,
-    body_edges: Floats,
+    boxes: _BodyBoxes,
     leaf_pairs: Ints,
     first: int,
     vertices: Ints,
@@ -210,7 +234,7 @@ def _box_pairs(
 ) -> int:
     """Whose boxes overlap in pairs of triangles (p, 2): each twice the index of what the cloth and the body have there.
 
-    Shapes: x (n, 3) and margin (n,) of the cloth's vertices [m]; boxes of the triangles and sides of both (any, 8).
+    Shapes: x (n, 3) and margin (n,) of the cloth's vertices [m]; boxes of its triangles and sides (any, 8).
 
     (cloth vertex, body triangle), (body vertex, cloth triangle) and (cloth side, body side) are added to vertices,
     corners and sides, (any, 2); the numbers of those found, (1,) each, count them. Begins with pair `first`, and ends
@@ -227,10 +251,12 @@ def _box_pairs(
             next_pair = pair
             break
         ct, bt = leaf_pairs[pair, 0], leaf_pairs[pair, 1]
+        if not boxes.made[bt]:
+            _make_boxes(boxes, bt, body_x, body_triangles, body)
         for k in range(cloth.own_vertices[ct, 0]):
             i = cloth.own_vertices[ct, 1 + k]
             vertices[vertex_count, 0], vertices[vertex_count, 1] = i, bt
-            vertex_count += in_box(x, i, margin[i], body_triangles, bt)
+            vertex_count += in_box(x, i, margin[i], boxes.triangles, bt)
         for k in range(body.own_vertices[bt, 0]):
             j = body.own_vertices[bt, 1 + k]
             corners[corner_count, 0], corners[corner_count, 1] = j, ct
@@ -240,7 +266,7 @@ def _box_pairs(
             for m in range(body.own_edges[bt, 0]):
                 j = body.own_edges[bt, 1 + m]
                 sides[side_count, 0], sides[side_count, 1] = i, j
-                side_count += overlap(cloth_edges, i, body_edges, j)
+                side_count += overlap(cloth_edges, i, boxes.edges, j)
     vertices_found[0], corners_found[0], sides_found[0] = vertex_count, corner_count, side_count
     return next_pair
 
