@@ -108,7 +108,7 @@ class Contact:
             self._renewal = Renewal.none()._replace(
                 broad_x=broad.x, radii=broad.radii, radius=broad.radius, start=broad.start, entries=broad.entries,
                 place=np.empty(len(pairs.kind), dtype=np.int32), waiting=np.empty(len(x), dtype=np.int32),
-                turn=np.zeros(1, dtype=np.int32), renewed=np.zeros(len(x), dtype=np.int32),
+                closest=np.zeros(3), turn=np.zeros(1, dtype=np.int32), renewed=np.zeros(len(x), dtype=np.int32),
             )  # fmt: skip
         granted = np.where(broad.alone, left, np.minimum(wanted, left))
         body_x = self.body.body.vertices if self.body is not None else _NO_BODY

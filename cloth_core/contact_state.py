@@ -26,7 +26,7 @@ class Renewal(NamedTuple):
         way: of each particle's origin from broad_x, that of the body included [m], (n,); way_of_body: since then [m].
         start, entries: the pairs of particle i are entries[start[i] : start[i + 1]].
         place: of each pair in the list of those that count, -1 for the others, (s,).
-        waiting: room for the particles that are to be renewed, (n,).
+        waiting: room for the particles that are to be renewed, (n,); closest: for a vector, (3,).
         turn: number of the present renewal, (1,); renewed: of that in which each particle was renewed last, (n,).
         steps, least_reach: a particle wants to go as far as in so many steps, but at least so far [m].
         least_room: a particle whose speed takes it farther than this in a step needs shorter steps [m].
@@ -42,6 +42,7 @@ class Renewal(NamedTuple):
     entries: Ints
     place: Ints
     waiting: Ints
+    closest: Floats
     turn: Ints
     renewed: Ints
     steps: float
@@ -53,7 +54,9 @@ class Renewal(NamedTuple):
     def none(cls) -> Renewal:
         """For a scene in which nothing can collide."""
         floats, ints = np.zeros(0), np.zeros(0, dtype=np.int32)
-        return cls(np.zeros((0, 3)), floats, 0.0, floats, 0.0, ints, ints, ints, ints, ints, ints, 0.0, 0.0, 0.0, False)
+        return cls(
+            np.zeros((0, 3)), floats, 0.0, floats, 0.0, ints, ints, ints, ints, floats, ints, ints, 0.0, 0.0, 0.0, False
+        )
 
 
 class ContactState(NamedTuple):

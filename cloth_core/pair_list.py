@@ -1,4 +1,4 @@
-"""Lists of pairs that grow inside compiled code: kind, four cloth particles, two body vertices."""
+"""Lists of pairs that compiled code writes and Python makes room for."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ROOM = 16_384
 
 @inlined_kernel
 def write_pair(rows: Ints, at: int, kind: int, p: int, q: int, r: int, s: int, a: int, b: int) -> None:
-    """Set one row (7,) of the list."""
+    """Set one row (7,) of the list: kind, four cloth particles, two body vertices."""
     rows[at, 0] = kind
     rows[at, 1] = p
     rows[at, 2] = q

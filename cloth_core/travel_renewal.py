@@ -83,7 +83,7 @@ def enough_of_radius(left: float, wanted: float, radius: float) -> bool:
     return bool(left >= min(min(wanted, radius), enough))
 
 
-@kernel
+@borrowing_kernel
 def renew_spent(
     x: Floats, v: Floats, state: ContactState, body_x: Floats, body_triangles: Ints, moved: Floats, dt: float
 ) -> bool:
@@ -92,7 +92,7 @@ def renew_spent(
     Shapes: x, v (n, 3) [m, m/s]; moved (n,), squared ways from the origins [m^2], is set to 0 for those renewed; body_x
     (b, 3) [m], body_triangles (t, 3); dt: step [s]. After a failure all of moved is infinite.
     """
-    if state.renewal.allowed and _all_renewed(x, v, state, body_x, body_triangles, moved, dt, np.empty(3)):
+    if state.renewal.allowed and _all_renewed(x, v, state, body_x, body_triangles, moved, dt):
         return True
     # Whatever of it has been done is good for nothing: nobody may take the way of any particle for granted.
     moved[:] = np.inf
@@ -101,16 +101,8 @@ def renew_spent(
 
 @borrowing_kernel
 def _all_renewed(
-    x: Floats,
-    v: Floats,
-    state: ContactState,
-    body_x: Floats,
-    body_triangles: Ints,
-    moved: Floats,
-    dt: float,
-    closest: Floats,
+    x: Floats, v: Floats, state: ContactState, body_x: Floats, body_triangles: Ints, moved: Floats, dt: float
 ) -> bool:
-    """As `renew_spent`; closest (3,) is scratch."""
     renewal = state.renewal
     most = min(max(int(_FEW * x.shape[0]), _FEW_OF_FEW), x.shape[0])
     renewal.turn[0] += 1
@@ -129,7 +121,7 @@ def _all_renewed(
             count += 1
     done = zero()
     while done < count:
-        count = _renew(renewal.waiting[done], done, count, x, v, state, body_x, body_triangles, moved, dt, closest)
+        count = _renew(renewal.waiting[done], done, count, x, v, state, body_x, body_triangles, moved, dt)
         done += 1
         if count < 0 or count > most:
             return False
@@ -148,12 +140,8 @@ def _renew(
     body_triangles: Ints,
     moved: Floats,
     dt: float,
-    closest: Floats,
 ) -> int:
-    """Renew particle p, number `at` of `count` that wait; how many wait then, -1 if all contacts must be searched.
-
-    closest (3,) is scratch.
-    """
+    """Renew particle p, number `at` of `count` that wait; how many wait then, -1 if all contacts must be searched."""
     renewal, planes, pairs = state.renewal, state.planes, state.pairs
     speed = np.sqrt(v[p, 0] ** 2 + v[p, 1] ** 2 + v[p, 2] ** 2)
     wanted = max(renewal.steps * dt * speed, renewal.least_reach)
@@ -190,6 +178,7 @@ def _renew(
     state.travel[p] = granted
     moved[p] = 0.0
     renewal.renewed[p] = renewal.turn[0]
+    closest = renewal.closest
     origin = particle_rows(state.origin, x.shape[0])
     for entry in range(renewal.start[p], renewal.start[p + 1]):
         s = renewal.entries[entry]
