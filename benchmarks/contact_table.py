@@ -151,7 +151,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         moving = gate["criteria"]["moving_share"]["value"]
         lines.append(
             f"{start} {report['particles']} | {report['wall_time']:.1f} s | {report['simulated_time']:.2f} s "
-            f"| {report['body_intersections']} | {report['self_intersections']} "
+            f"| {report['body_intersections'] + report['body_edges_through_cloth']} | {report['self_intersections']} "
             f"| {1000 * report['max_penetration']:.2g} mm | {row['contacts']} | {report['contact_searches']} "
             f"| {100 * row['contact_share']:.0f} % | {'' if moving is None else f'{100 * moving:.1f} %'} "
             f"| {'passed' if gate['passed'] else 'FAILED'} |"

@@ -203,6 +203,7 @@ def drape(spacing: float) -> dict[str, Any]:
         "settled": report.settled,
         "max_strain": report.max_strain,
         "body_intersections": report.body_intersections,
+        "body_edges_through_cloth": report.body_edges_through_cloth,
         "self_intersections": report.self_intersections,
         "max_penetration": report.max_penetration,
         "searches": report.contact_searches,

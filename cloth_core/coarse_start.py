@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body import Body
+from cloth_core.body_crossings import BodyCrossings
 from cloth_core.garment import Garment
-from cloth_core.intersections import crossing_pairs
 
 __all__ = ["Interpolation", "interpolation_between", "pushed_out_of_body"]
 
@@ -76,21 +76,30 @@ def interpolation_between(coarse: Garment, fine: Garment) -> Interpolation:
 
 
 def pushed_out_of_body(x: Floats, triangles: Ints, body: Body, step: float) -> Floats:
-    """Positions [m], (n, 3), of which sides that pass through the body are moved out of it, by a step [m] at a time.
+    """Positions [m], (n, 3), where sides and triangles that meet the body are moved out of it, by a step [m] at a time.
 
     A fine mesh cuts across the creases of the coarse one on which it starts, sometimes by more than the distance at
     which that lay from the body. What is still inside after some rounds is left there.
     """
     corner = body.vertices[body.triangles]
     normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    at_vertices = np.zeros_like(body.vertices)
+    for k in range(3):
+        np.add.at(at_vertices, body.triangles[:, k], normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     for _ in range(_ROUNDS):
-        edges, pairs = crossing_pairs(x, triangles, body.vertices, body.triangles, body.tree)
-        if len(pairs) == 0:
+        edges, pairs, body_edges, body_pairs = BodyCrossings.of(x, triangles, body)
+        if len(pairs) + len(body_pairs) == 0:
             break
         way = np.zeros_like(x)
         for end in range(2):
             np.add.at(way, edges[pairs[:, 0], end], normals[pairs[:, 1]])
+        if len(pairs) == 0:
+            # Tips of the body in the middle of triangles, of which the sides have taken most out: they lift all of it.
+            out = at_vertices[body_edges[body_pairs[:, 0]]].sum(axis=1)
+            out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
+            for k in range(3):
+                np.add.at(way, triangles[body_pairs[:, 1], k], out)
         length = np.linalg.norm(way, axis=1, keepdims=True)
         x = x + step * way / np.maximum(length, 1e-12)
     return x

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body import Body
+from cloth_core.body_crossings import BodyCrossings
 from cloth_core.garment import Garment
-from cloth_core.intersections import crossing_edges, self_crossing_pairs
+from cloth_core.intersections import self_crossing_pairs
 
 __all__ = ["body_start_warnings", "crossed_start_warnings", "crossing_at_start"]
 
@@ -40,13 +41,17 @@ def crossed_start_warnings(garment: Garment) -> tuple[str, ...]:
 
 
 def body_start_warnings(garment: Garment, body: Body) -> tuple[str, ...]:
-    """One line if sides of the cloth pass through the body at its start or panels are inside of it, none else.
+    """Lines if cloth and body pass through each other at its start or panels are inside of the body, none else.
 
     Patterns that are placed around a body start clear of it; a start given by hand may not.
     """
-    sides = crossing_edges(garment.start, garment.triangles, body.vertices, body.triangles, body.tree)
+    found = BodyCrossings.of(garment.start, garment.triangles, body)
+    sides = found.cloth_sides[np.unique(found.through_body[:, 0])]
+    # What a tip of the body comes through, without a side of the cloth meeting it.
+    pierced = garment.triangles[np.unique(found.through_cloth[:, 1])]
+    pierced = pierced[~np.isin(pierced, sides).any(axis=1)]
     # A panel that nothing crosses is as a whole where one of its points is.
-    crossed = np.unique(garment.panel_of_particle[sides[:, 0]])
+    crossed = np.unique(garment.panel_of_particle[np.concatenate([sides[:, 0], pierced[:, 0]])])
     whole = [k for k in range(len(garment.panel_names)) if k not in crossed]
     first = [int(np.flatnonzero(garment.panel_of_particle == k)[0]) for k in whole]
     inside = [k for k, w in zip(whole, body.winding_number(garment.start[first]), strict=True) if w > 0.5]
@@ -56,6 +61,12 @@ def body_start_warnings(garment: Garment, body: Body) -> tuple[str, ...]:
             f"garment '{garment.name}': {len(sides)} sides of panel {_panels_of(garment, sides)} pass through body "
             f"'{body.name}' where it starts, {_places_of(garment, sides)}; they stay there, and no more will; place "
             "the garment clear of the body"
+        )
+    if len(pierced):
+        lines.append(
+            f"garment '{garment.name}': body '{body.name}' comes through panel {_panels_of(garment, pierced)} between "
+            f"its particles where it starts, {_places_of(garment, pierced)}; it stays there; place the garment clear "
+            "of the body"
         )
     if inside:
         lines.append(
@@ -75,7 +86,7 @@ def _named(garment: Garment, panels: list[int]) -> str:
 
 
 def _places_of(garment: Garment, sides: Ints) -> str:
-    """Where some sides are at the start: a few of their middles, no two of which are near each other."""
+    """Where some sides or triangles are at the start: a few of their middles, no two of which are near each other."""
     left = garment.start[sides].mean(axis=1)
     places = []
     while len(left):

@@ -71,6 +71,7 @@ def judge(report: Report, movement: Floats | None, failure: str | None = None) -
     share = "not known how many" if moving is None else f"{100 * moving:.2f} %"
     frames = report.simulated_time / FRAME
     body, cloth = report.body_intersections, report.self_intersections
+    through = report.body_edges_through_cloth
     open_seams = ", ".join(f"{name} ({1000 * gap:.1f} mm)" for name, gap in report.open_seams.items())
     criteria = (
         _Criterion("crashes", int(failure is not None), 0, 0, f"crash: {failure}"),
@@ -91,6 +92,10 @@ def judge(report: Report, movement: Floats | None, failure: str | None = None) -
             "body_intersections", body, MOST_BODY_INTERSECTIONS, GARMENTCODE_BODY_INTERSECTIONS,
             f"{body} cloth edges cross the body, at most {MOST_BODY_INTERSECTIONS} may "
             f"(GarmentCode: {GARMENTCODE_BODY_INTERSECTIONS})",
+        ),
+        _Criterion(
+            "body_edges_through_cloth", through, MOST_BODY_INTERSECTIONS, None,
+            f"{through} edges of the body cross the cloth, at most {MOST_BODY_INTERSECTIONS} may",
         ),
         _Criterion(
             "self_intersections", cloth, MOST_SELF_INTERSECTIONS, GARMENTCODE_SELF_INTERSECTIONS,

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from cloth_core.blocked_lines import BlockedLines
 from cloth_core.body import Body
-from cloth_core.intersections import crossing_pairs, segment_crosses, self_crossing_pairs
+from cloth_core.body_crossings import BodyCrossings
+from cloth_core.intersections import segment_crosses, self_crossing_pairs
 from cloth_core.kernel import borrowing_kernel
 
 __all__ = ["nudged_apart"]
@@ -31,7 +32,7 @@ _MOST = 40
 
 
 def nudged_apart(x: Floats, triangles: Ints, body: Body | None, allowed: int) -> tuple[Floats, int]:
-    """Positions in which at most `allowed` sides cross cloth or body, if moving single points by up to 12 mm does it.
+    """Positions in which at most `allowed` sides cross, if moving single points by up to 12 mm does it.
 
     Args:
         x: positions [m], (n, 3).
@@ -43,37 +44,39 @@ def nudged_apart(x: Floats, triangles: Ints, body: Body | None, allowed: int) ->
         positions [m], (n, 3), and how many sides cross there: never more than at x.
     """
     found = _Crossings.of(x, triangles, body)
-    if found.number <= allowed or found.number > _MOST:
-        return x, found.number
+    if found.all <= allowed or found.number > _MOST:
+        return x, found.all
     # Nothing but the triangles of a point that moves can change how much crosses.
     low, high = x[found.points].min(axis=0), x[found.points].max(axis=0)
     longest = np.linalg.norm(x[triangles[:, 0]] - x[triangles[:, 1]], axis=1).max() + max(_WAYS)
     corner = x[triangles]
     near = ((corner.min(axis=1) <= high + 2.0 * longest) & (corner.max(axis=1) >= low - 2.0 * longest)).all(axis=1)
     nearby = np.ascontiguousarray(triangles[near])
-    count = found.number
+    count = found.all
     found = _Crossings.of(x, nearby, body)
-    elsewhere = count - found.number
+    elsewhere = count - found.all
     x = x.copy()
-    while elsewhere + found.number > allowed:
+    while elsewhere + found.all > allowed:
         better = _better(x, nearby, body, found)
         if better is None:
             break
         point, place, found = better
         x[point] = place
-    return x, elsewhere + found.number
+    return x, elsewhere + found.all
 
 
 class _Crossings(NamedTuple):
     """What crosses cloth or body.
 
     Attributes:
-        number: of the sides that cross; points: of what crosses, and the triangles that are crossed.
+        number: of the sides of the cloth that cross; points: of what crosses, and the triangles that are crossed.
+        tips: number of the sides of the body that cross the cloth; they are not moved out, only never made more.
         sides: all of the cloth, (e, 2); pairs: a side and the triangle of cloth that it crosses, (k, 2).
         through_body: the sides that cross the body.
     """
 
     number: int
+    tips: int
     points: Ints
     sides: Ints
     pairs: Ints
@@ -84,13 +87,18 @@ class _Crossings(NamedTuple):
         sides, pairs = self_crossing_pairs(x, triangles)
         count = len(np.unique(pairs[:, 0]))
         points = [sides[pairs[:, 0]].ravel(), triangles[pairs[:, 1]].ravel()]
-        through_body = np.zeros(0, dtype=np.int32)
+        through_body, tips = np.zeros(0, dtype=np.int32), 0
         if body is not None:
-            _, of_body = crossing_pairs(x, triangles, body.vertices, body.triangles, body.tree)
-            through_body = np.unique(of_body[:, 0])
+            crossings = BodyCrossings.of(x, triangles, body)
+            through_body = np.unique(crossings.through_body[:, 0])
             count += len(through_body)
+            tips = crossings.body_sides_through_cloth
             points.append(sides[through_body].ravel())
-        return cls(count, np.unique(np.concatenate(points)), sides, pairs, through_body)
+        return cls(count, tips, np.unique(np.concatenate(points)), sides, pairs, through_body)
+
+    @property
+    def all(self) -> int:
+        return self.number + self.tips
 
 
 class _Surroundings(NamedTuple):
@@ -149,7 +157,7 @@ def _better(x: Floats, triangles: Ints, body: Body | None, found: _Crossings) ->
                 if surroundings.crossings(x, through_body) >= found.number:
                     continue
                 then = _Crossings.of(x, triangles, body)
-                if then.number < found.number:
+                if then.number < found.number and then.tips <= found.tips:
                     place = x[point].copy()
                     x[point] = before
                     return point, place, then

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_core.body import Body
-from cloth_core.intersections import crossing_pairs
+from cloth_core.body_crossings import BodyCrossings
 
 __all__ = ["max_penetration"]
 
@@ -17,7 +17,7 @@ Ints = NDArray[np.int32]
 _PARTS = 8
 
 
-def max_penetration(x: Floats, triangles: Ints, body: Body) -> float:
+def max_penetration(x: Floats, triangles: Ints, body: Body, crossings: BodyCrossings | None = None) -> float:
     """Depth of the deepest point of the cloth inside the body [m]; 0 if none is.
 
     Looked at are all particles, and of the triangles that the surface of the body passes through (exact tests both
@@ -27,21 +27,21 @@ def max_penetration(x: Floats, triangles: Ints, body: Body) -> float:
         x: positions of the particles [m], (n, 3).
         triangles: corner indices, (m, 3).
         body: what they should be outside of.
+        crossings: of both, if somebody has looked for them already.
     """
     if len(x) == 0:
         return 0.0
     depth = -float(body.signed_distance(x).min())
-    edges, pairs = crossing_pairs(x, triangles, body.vertices, body.triangles, body.tree)
+    crossings = BodyCrossings.of(x, triangles, body) if crossings is None else crossings
     side = np.zeros(len(x), dtype=bool)
-    side[edges[pairs[:, 0]]] = True
+    side[crossings.cloth_sides[crossings.through_body[:, 0]]] = True
     pierced = side[triangles].sum(axis=1) >= 2
-    body_edges, body_pairs = crossing_pairs(body.vertices, body.triangles, x, triangles)
-    pierced[body_pairs[:, 1]] = True
+    pierced[crossings.through_cloth[:, 1]] = True
     if pierced.any():
         steps = np.arange(_PARTS + 1)
         grid = np.array([(i, j, _PARTS - i - j) for i in steps for j in steps if i + j <= _PARTS]) / _PARTS
         points = np.einsum("gk,tkd->tgd", grid, x[triangles[pierced]]).reshape(-1, 3)
-        middles = _middles(x[triangles], body.vertices[body_edges], body_pairs)
+        middles = _middles(x[triangles], body.vertices[crossings.body_sides], crossings.through_cloth)
         depth = max(depth, -float(body.signed_distance(np.concatenate([points, middles])).min()))
     return max(depth, 0.0)
 

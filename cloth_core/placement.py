@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cloth_core.aabb_tree import DEPTH, AabbTree, build_tree, next_leaf
 from cloth_core.body import Body
+from cloth_core.body_crossings import BodyCrossings
 from cloth_core.errors import SceneError
 from cloth_core.garment import Garment
 from cloth_core.intersections import crossing_edges, self_crossing_edges
@@ -82,7 +83,7 @@ def crosses_more(garment: Garment, start: Floats, body: Body) -> bool:
     """Whether anything crosses at start (n, 3) [m] that did not before: sides may be nearer than any corner."""
     triangles, number = garment.triangles, garment.merged_indices
     before, after = (len(self_crossing_edges(x, triangles, number)) for x in (garment.start, start))
-    return after > before or len(crossing_edges(start, triangles, body.vertices, body.triangles, body.tree)) > 0
+    return after > before or BodyCrossings.of(start, triangles, body).number > 0
 
 
 def _shifts(sewn: bool) -> Iterator[float]:

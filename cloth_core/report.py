@@ -31,6 +31,7 @@ class Report:
         max_seam_gap: largest distance of two points to be sewn [m].
         open_seams: the seams above the tolerance, with their gaps [m].
         body_intersections: cloth sides that cross a body triangle.
+        body_edges_through_cloth: body sides that cross a cloth triangle, as those of a tip between the particles.
         self_intersections: cloth sides that cross a cloth triangle.
         max_penetration: depth of the deepest point of the cloth inside the body [m]; 0 if none is.
         contact_searches: how often contacts were searched.
@@ -62,6 +63,7 @@ class Report:
     max_seam_gap: float
     open_seams: dict[str, float]
     body_intersections: int
+    body_edges_through_cloth: int
     self_intersections: int
     max_penetration: float
     contact_searches: int

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.body_crossings import BodyCrossings
+from cloth_core.intersections import self_crossing_edges
 from cloth_core.motion import Motion
 from cloth_core.penetration import max_penetration
 from cloth_core.report import Report
@@ -65,11 +66,12 @@ def report_of(
             f"strain {100 * max_strain:.1f} % is above the fabric's limit of {100 * scene.fabric.strain_limit:g} "
             "%; the garment is too tight or the fabric too soft"
         )
-    crossings, penetration = 0, 0.0
+    through_body, through_cloth, penetration = 0, 0, 0.0
     if scene.body is not None:
         body = scene.body
-        crossings = len(crossing_edges(x, model.triangles, body.vertices, body.triangles, body.tree))
-        penetration = max_penetration(x, model.triangles, body)
+        crossings = BodyCrossings.of(x, model.triangles, body)
+        through_body, through_cloth = crossings.cloth_sides_through_body, crossings.body_sides_through_cloth
+        penetration = max_penetration(x, model.triangles, body, crossings)
     missed = _missed(state)
     lines += missed.values()
     return Report(
@@ -93,7 +95,8 @@ def report_of(
         strain_limit=scene.fabric.strain_limit,
         max_seam_gap=max(gaps.values(), default=0.0),
         open_seams={name: gaps[name] for name in open_seams},
-        body_intersections=crossings,
+        body_intersections=through_body,
+        body_edges_through_cloth=through_cloth,
         self_intersections=len(self_crossing_edges(x, model.triangles)),
         max_penetration=penetration,
         contact_searches=motion.searches,

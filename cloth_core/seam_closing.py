@@ -9,8 +9,9 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.body_crossings import BodyCrossings
 from cloth_core.garment import Seam, merged_numbers
-from cloth_core.intersections import crossing_edges, crossing_pairs, self_crossing_edges, self_crossing_pairs
+from cloth_core.intersections import crossing_pairs, self_crossing_edges, self_crossing_pairs
 from cloth_core.model import Model
 from cloth_core.nudging import nudged_apart
 from cloth_core.scene import Scene
@@ -196,7 +197,7 @@ def count_crossings(scene: Scene, model: Model, x: Floats) -> int:
     crossings = len(self_crossing_edges(sewn, model.triangles, identity))
     body = scene.body
     if body is not None:
-        crossings += len(crossing_edges(sewn, model.triangles, body.vertices, body.triangles, body.tree))
+        crossings += BodyCrossings.of(sewn, model.triangles, body).number
     return crossings
 
 

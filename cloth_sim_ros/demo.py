@@ -203,7 +203,8 @@ def summarise(report: dict[str, Any], output: Path) -> None:
     say(
         f"{report['garment']}, {report['fabric']}: {report['rest_reason']}; {report['simulated_time']:.2f} s simulated "
         f"in {report['wall_time']:.1f} s; largest strain {100 * report['max_strain']:.1f} %; largest seam gap "
-        f"{1000 * report['max_seam_gap']:.2g} mm; edges through the body {report['body_intersections']}; deepest "
+        f"{1000 * report['max_seam_gap']:.2g} mm; edges through the body {report['body_intersections']}, of "
+        f"the body through cloth {report['body_edges_through_cloth']}; deepest "
         f"penetration {1000 * report['max_penetration']:.2g} mm"
     )
     for name in RESULTS:

@@ -28,6 +28,7 @@ def print_report(report: Report) -> None:
         ("expected error", _expected(report.expected_error, report.expected_error_source)),
         ("largest seam gap", f"{1000 * report.max_seam_gap:.3g} mm"),
         ("edges through the body", str(report.body_intersections)),
+        ("edges of the body through cloth", str(report.body_edges_through_cloth)),
         ("edges through cloth", str(report.self_intersections)),
         ("deepest penetration", f"{1000 * report.max_penetration:.3g} mm"),
     ]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from apparatus import body_of, crossings, pattern, rectangle, sheet
+from apparatus import body_of, crossings, pattern, rectangle, sheet, sides_through
 
 from cloth_core.body import Body
 from cloth_core.calibration import Cloth, calibration
@@ -53,6 +53,27 @@ def test_cloth_that_cuts_across_an_edge_of_the_body_is_moved_out():
     assert crossings(moved, garment.triangles, CUBE) == 0
     assert np.linalg.norm(moved - x, axis=1).max() < 0.02
     np.testing.assert_array_equal(pushed_out_of_body(moved, garment.triangles, CUBE, 0.003), moved)
+
+
+def test_tip_that_comes_through_a_triangle_is_moved_out_of_it():
+    # A cone whose tip is 4 mm above a sheet, in the middle of one of its triangles: no side of the sheet meets it.
+    garment = sheet(0.12, 0.12, 0.04)
+    middle = garment.start[garment.triangles[4]].mean(axis=0)
+    cone = body_of(trimesh.creation.cone(0.05, 0.1), move=[middle[0], middle[1], middle[2] + 0.004 - 0.1])
+    cloth = garment.start, garment.triangles
+    assert sides_through(*cloth, cone.vertices, cone.triangles) == 0
+    assert sides_through(cone.vertices, cone.triangles, *cloth) > 0
+    moved = pushed_out_of_body(*cloth, cone, 0.003)
+    assert crossings(moved, garment.triangles, cone) == 0
+    assert 0.004 <= (moved - garment.start)[:, 2].max() < 0.02
+
+
+def test_fine_start_on_a_body_with_tips_crosses_it_nowhere():
+    scene = Scene.build(Pattern.load("dress"), Body.load("young"), settings=Settings(spacing=0.02))
+    simulation = Simulation(scene)
+    simulation.settle(lambda s: not s.drapes_coarsely)
+    assert simulation.phase == "draping"
+    assert crossings(*simulation.sewn_mesh(), scene.body) == 0
 
 
 @pytest.mark.parametrize("garment", ["skirt", "tshirt"])

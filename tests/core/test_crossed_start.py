@@ -168,6 +168,19 @@ def test_start_through_the_body_is_named_with_its_number_and_places():
     assert not [w for w in simulation.report().warnings if "pass through body" in w or "inside body" in w]
 
 
+def test_tip_of_the_body_between_particles_is_named():
+    garment = sheet(0.12, 0.12, 0.04)
+    middle = garment.start[garment.triangles[4]].mean(axis=0)
+    cone = body_of(trimesh.creation.cone(0.05, 0.1), move=[middle[0], middle[1], middle[2] + 0.004 - 0.1])
+    lines = Simulation(Scene(garment=garment, fabric=plain_fabric(), body=cone)).report().warnings
+    (line,) = [w for w in lines if "body" in w]
+    assert line.startswith(
+        f"garment 'sheet': body '{cone.name}' comes through panel 'sheet' between its particles where it starts, at ("
+    )
+    place = [float(v) for v in line.split(" (")[1].split(")")[0].split(",")]
+    np.testing.assert_allclose(place, middle, atol=0.006)
+
+
 def test_panel_that_starts_inside_the_body_is_named():
     garment = sheet(0.05, 0.05, SPACING / 2)
     moved = replace(garment, start=garment.start + np.array([0.0, 0.0, 0.02]))

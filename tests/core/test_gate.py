@@ -42,6 +42,7 @@ CASES = {
     "one edge through the body": ({"body_intersections": 1}, STILL, False, True),
     "35 edges through the body": ({"body_intersections": 35}, STILL, False, True),
     "36 edges through the body": ({"body_intersections": 36}, STILL, False, False),
+    "one edge of the body through the cloth": ({"body_edges_through_cloth": 1}, STILL, False, True),
     "one edge through the cloth": ({"self_intersections": 1}, STILL, False, True),
     "300 edges through the cloth": ({"self_intersections": 300}, STILL, False, True),
     "301 edges through the cloth": ({"self_intersections": 301}, STILL, False, False),

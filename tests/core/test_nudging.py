@@ -65,6 +65,19 @@ def test_a_point_is_not_moved_into_the_body():
     assert crossings(moved, triangles, plate) == 0
 
 
+def test_a_tip_of_the_body_in_a_triangle_counts_and_is_left():
+    # A needle through the middle of a triangle: nobody's side is in the way, and the seam may not merge here.
+    x, triangles = two_sheets(0.0009)
+    middle = x[triangles[0]].mean(axis=0)
+    needle = body_of(trimesh.creation.cone(0.004, 0.02), move=[middle[0], middle[1], -0.01])
+    tips = crossings(x, triangles, needle)
+    assert tips > 0 == len(_Crossings.of(x, triangles, needle).through_body)
+    assert nudged_apart(x, triangles, needle, 0)[1] == tips
+    moved, count = nudged_apart(x, triangles, needle, tips)
+    assert count == tips == crossings(moved, triangles, needle)
+    assert crossing_sides(moved, triangles) == 0
+
+
 def test_counting_around_one_point_is_counting_all():
     rng = np.random.default_rng(7)
     plate = body_of(trimesh.creation.icosphere(2, 0.05), move=[0.01, 0.0, 0.03])

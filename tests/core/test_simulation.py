@@ -454,7 +454,7 @@ def test_report_has_all_keys_and_is_json():
     assert data["wall_time"] > 0
     assert 0 < data["time_step"] < data["stable_time_step"]
     assert isinstance(data["settled"], bool)
-    for key in ("body_intersections", "self_intersections", "contact_searches"):
+    for key in ("body_intersections", "body_edges_through_cloth", "self_intersections", "contact_searches"):
         assert isinstance(data[key], int)
 
 
@@ -471,10 +471,12 @@ def test_report_counts_crossings_and_depth_of_the_state():
     simulation = Simulation(Scene(garment=sheet(0.3, 0.3, 0.05, z=0.2), body=ball, fabric=Fabric.preset("wool")))
     clear = simulation.report()
     assert (clear.body_intersections, clear.self_intersections, clear.max_penetration) == (0, 0, 0.0)
+    assert clear.body_edges_through_cloth == 0
     simulation.motion.x[:] += [0.0007, 0.0009, 0.0011 - 0.2]  # put through the ball, a little beside its own symmetry
     report = simulation.report()
     x, triangles = simulation.motion.x, simulation.model.triangles
     assert report.body_intersections == sides_through(x, triangles, ball.vertices, ball.triangles) > 0
+    assert report.body_edges_through_cloth == sides_through(ball.vertices, ball.triangles, x, triangles) > 0
     middle = np.linalg.norm([0.0007, 0.0009, 0.0011])
     assert report.max_penetration == pytest.approx(0.1 - middle, rel=0.02)  # of the particle nearest to the middle
     x[:24] = x[25:] + np.array([0.011, 0.007, 0.02])
