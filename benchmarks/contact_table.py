@@ -133,7 +133,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         f"{_processor()} with Python {platform.python_version()}; a case that is run again gives the same drape, its "
         "time differs.",
         "",
-        "*On the body*: particles that lie on it at the end. *Contact*: share of a step's time that contact takes "
+        "*Through body*: sides of the cloth that cross the body, and of the body that cross the cloth. *On the body*: "
+        "particles that lie on it at the end. *Contact*: share of a step's time that contact takes "
         "there, of all that was measured. *Moving*: particles that move more than 0.3 mm in the next 1/60 s.",
         "",
         "| garment | body | fabric | particles | wall time | simulated | through body | through cloth | deepest "

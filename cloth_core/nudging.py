@@ -44,7 +44,7 @@ def nudged_apart(x: Floats, triangles: Ints, body: Body | None, allowed: int) ->
         positions [m], (n, 3), and how many sides cross there: never more than at x.
     """
     found = _Crossings.of(x, triangles, body)
-    if found.all <= allowed or found.number > _MOST:
+    if found.all <= allowed or not 0 < found.number <= _MOST:
         return x, found.all
     # Nothing but the triangles of a point that moves can change how much crosses.
     low, high = x[found.points].min(axis=0), x[found.points].max(axis=0)

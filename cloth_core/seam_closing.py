@@ -336,9 +336,10 @@ def _crossing_points(scene: Scene, x: Floats, number: Ints) -> tuple[int, Bools]
     at[edges[pairs[:, 0]]] = True
     at[triangles[pairs[:, 1]]] = True
     if scene.body is not None:
-        edges, pairs = crossing_pairs(sewn, triangles, scene.body.vertices, scene.body.triangles, scene.body.tree)
-        crossings += len(np.unique(pairs[:, 0]))
-        at[edges[pairs[:, 0]]] = True
+        found = BodyCrossings.of(sewn, triangles, scene.body)
+        crossings += found.number
+        at[found.cloth_sides[found.through_body[:, 0]]] = True
+        at[triangles[found.through_cloth[:, 1]]] = True
     return crossings, np.asarray(at[number])
 
 

@@ -6,7 +6,18 @@ import naive_geometry
 import numpy as np
 import pytest
 import trimesh
-from apparatus import GRAVITY, body_of, by_axis, crossings, panel, pattern, plain_fabric, rectangle, throw
+from apparatus import (
+    GRAVITY,
+    body_of,
+    by_axis,
+    crossings,
+    panel,
+    pattern,
+    plain_fabric,
+    rectangle,
+    sides_through,
+    throw,
+)
 
 from cloth_core.body import Body
 from cloth_core.fabric import Fabric
@@ -255,6 +266,32 @@ def test_late_merge_leaves_open_what_would_cross():
     beside = np.abs(garment.start[seam.first][:, 2]) > 0.05 + settings.spacing
     assert set(seam.first[beside]) <= set(part.first) < set(seam.first)
     assert closing.open_seams == {seam.name: pytest.approx(0.006)}
+
+
+def test_late_merge_leaves_a_needle_of_the_body_outside():
+    # Two sheets 6 mm apart and a needle upright in between: once merged, it would stand in the middle of a triangle,
+    # with no side of the cloth through it.
+    needle = trimesh.creation.cone(0.002, 0.2, sections=16)
+    needle.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
+    panels = {"left": rectangle(0.3, 0.3, at=(-0.153, 0, 0)), "right": rectangle(0.3, 0.3, at=(0.153, 0, 0))}
+    scene = scene_of(pattern(panels, [(("left", 1), ("right", 3))]), spacing=0.03)
+    settings, garment = scene.settings, scene.garment
+    (seam,) = garment.seams
+    start = garment.start
+    height = np.sort(start[seam.first][:, 2])
+    body = body_of(needle, move=[0.0016, -0.12, height[4:6].mean()])
+    scene = replace(scene, body=body)
+    assert crossings(start, garment.triangles, body) == 0
+    everything = Model(scene, closed=garment.seams)
+    together = everything.gather(start, garment.particle_areas)
+    assert sides_through(together, everything.triangles, body.vertices, body.triangles) == 0
+    assert sides_through(body.vertices, body.triangles, together, everything.triangles) > 0
+    closing = SeamClosing()
+    merged = closing.merged(scene, Model(scene, sewing=True), start, settings.sewing_time, settings.sewing_time)
+    assert merged is not None
+    assert crossings(merged.gather(closing.positions, garment.particle_areas), merged.triangles, body) == 0
+    (part,) = merged.closed
+    assert len(seam.first) - 4 <= len(part.first) < len(seam.first)
 
 
 def test_where_every_merge_would_cross_all_stays_open(monkeypatch):
