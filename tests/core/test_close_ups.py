@@ -70,8 +70,9 @@ def test_body_without_arms_has_a_hem():
 def test_table_goes_on_from_what_is_done_and_names_what_failed(contact_table, tmp_path, capsys):
     arguments = ["--only", "^(skirt|dress)-young-silk", "--results", str(tmp_path), "--output", str(tmp_path / "t.md")]
     gate = {"passed": True, "failed": [], "criteria": {"moving_share": {"value": 0.001}}}
-    report = {"particles": 7, "wall_time": 1.5, "simulated_time": 2.0, "body_intersections": 0,
-              "self_intersections": 0, "max_penetration": 0.0, "contact_searches": 9}  # fmt: skip
+    report = {"particles": 7, "wall_time": 1.5, "simulated_time": 2.0, "body_intersections": 2,
+              "body_edges_through_cloth": 3, "self_intersections": 0, "max_penetration": 0.0,
+              "contact_searches": 9}  # fmt: skip
     for garment in ("skirt", "dress"):
         case = contact_table.Case((garment,), "young", "silk", "normal")
         row = {"garment": garment, "body": "young", "fabric": "silk", "quality": "normal", "report": report,
@@ -80,7 +81,7 @@ def test_table_goes_on_from_what_is_done_and_names_what_failed(contact_table, tm
     assert contact_table.main(arguments) == 0
     text = (tmp_path / "t.md").read_text()
     assert "2 drapes at quality normal; 2 pass the gate" in text
-    assert "| skirt | young | silk | 7 | 1.5 s | 2.00 s | 0 | 0 | 0 mm | 3 | 9 | 25 % | 0.1 % | passed |" in text
+    assert "| skirt | young | silk | 7 | 1.5 s | 2.00 s | 5 | 0 | 0 mm | 3 | 9 | 25 % | 0.1 % | passed |" in text
     assert "2 cases, 2 of them done before" in capsys.readouterr().out
     failed = {**row, "gate": {**gate, "passed": False, "failed": ["4 cloth edges cross the body"]}}
     (tmp_path / "dress-young-silk-normal.json").write_text(json.dumps(failed))
