@@ -82,11 +82,8 @@ def pushed_out_of_body(x: Floats, triangles: Ints, body: Body, step: float) -> F
     which that lay from the body. What is still inside after some rounds is left there.
     """
     corner = body.vertices[body.triangles]
-    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    at_vertices = np.zeros_like(body.vertices)
-    for k in range(3):
-        np.add.at(at_vertices, body.triangles[:, k], normals)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    areas = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normals = _unit(areas)
     for _ in range(_ROUNDS):
         edges, pairs, body_edges, body_pairs = BodyCrossings.of(x, triangles, body)
         if len(pairs) + len(body_pairs) == 0:
@@ -96,13 +93,19 @@ def pushed_out_of_body(x: Floats, triangles: Ints, body: Body, step: float) -> F
             np.add.at(way, edges[pairs[:, 0], end], normals[pairs[:, 1]])
         if len(pairs) == 0:
             # Tips of the body in the middle of triangles, of which the sides have taken most out: they lift all of it.
-            out = at_vertices[body_edges[body_pairs[:, 0]]].sum(axis=1)
-            out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
+            at_vertices = np.zeros_like(body.vertices)
+            for k in range(3):
+                np.add.at(at_vertices, body.triangles[:, k], areas)
+            out = _unit(at_vertices[body_edges[body_pairs[:, 0]]].sum(axis=1))
             for k in range(3):
                 np.add.at(way, triangles[body_pairs[:, 1], k], out)
         length = np.linalg.norm(way, axis=1, keepdims=True)
         x = x + step * way / np.maximum(length, 1e-12)
     return x
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
 def _barycentric(p: Floats, corner: Floats) -> Floats:

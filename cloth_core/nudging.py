@@ -44,25 +44,25 @@ def nudged_apart(x: Floats, triangles: Ints, body: Body | None, allowed: int) ->
         positions [m], (n, 3), and how many sides cross there: never more than at x.
     """
     found = _Crossings.of(x, triangles, body)
-    if found.all <= allowed or not 0 < found.number <= _MOST:
-        return x, found.all
+    if found.total <= allowed or not 0 < found.number <= _MOST:
+        return x, found.total
     # Nothing but the triangles of a point that moves can change how much crosses.
     low, high = x[found.points].min(axis=0), x[found.points].max(axis=0)
     longest = np.linalg.norm(x[triangles[:, 0]] - x[triangles[:, 1]], axis=1).max() + max(_WAYS)
     corner = x[triangles]
     near = ((corner.min(axis=1) <= high + 2.0 * longest) & (corner.max(axis=1) >= low - 2.0 * longest)).all(axis=1)
     nearby = np.ascontiguousarray(triangles[near])
-    count = found.all
+    count = found.total
     found = _Crossings.of(x, nearby, body)
-    elsewhere = count - found.all
+    elsewhere = count - found.total
     x = x.copy()
-    while elsewhere + found.all > allowed:
+    while elsewhere + found.total > allowed:
         better = _better(x, nearby, body, found)
         if better is None:
             break
         point, place, found = better
         x[point] = place
-    return x, elsewhere + found.all
+    return x, elsewhere + found.total
 
 
 class _Crossings(NamedTuple):
@@ -97,7 +97,7 @@ class _Crossings(NamedTuple):
         return cls(count, tips, np.unique(np.concatenate(points)), sides, pairs, through_body)
 
     @property
-    def all(self) -> int:
+    def total(self) -> int:
         return self.number + self.tips
 
 

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_core.body_crossings import BodyCrossings
 from cloth_core.errors import SceneError
-from cloth_core.intersections import crossing_edges, self_crossing_edges
+from cloth_core.intersections import self_crossing_edges
 from cloth_core.layer_distance import close_pairs
+from cloth_core.penetration import max_penetration
 from cloth_core.sewing import seam_gaps
 from cloth_core.springs import SpringFamily, spring_strains
 
@@ -152,9 +154,14 @@ def _body_contact(run: _Run) -> str | None:
     body = run.scene.body
     if body is None:
         return None
-    crossings = len(crossing_edges(run.x, run.model.triangles, body.vertices, body.triangles, body.tree))
-    depth = max(0.0, -float(body.signed_distance(run.x).min()))
-    return f"{crossings} sides cross the body, up to {1000 * depth:.3g} mm deep" if crossings or depth > 0.0 else None
+    crossings = BodyCrossings.of(run.x, run.model.triangles, body)
+    depth = max_penetration(run.x, run.model.triangles, body, crossings)
+    if crossings.number == 0 and depth == 0.0:
+        return None
+    return (
+        f"{crossings.cloth_sides_through_body} sides cross the body, {crossings.body_sides_through_cloth} of its sides "
+        f"the cloth, up to {1000 * depth:.3g} mm deep"
+    )
 
 
 def _friction(run: _Run) -> str | None:

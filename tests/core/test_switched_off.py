@@ -186,7 +186,8 @@ def test_report_says_what_is_lacking_and_where():
     # The body is measured against although nothing collides with it.
     assert report.body == "test body"
     assert report.terms["body contact"]["missed"].startswith(
-        f"body contact is off and {report.body_intersections} sides cross the body"
+        f"body contact is off and {report.body_intersections} sides cross the body, "
+        f"{report.body_edges_through_cloth} of its sides the cloth, up to {1000 * report.max_penetration:.3g} mm deep"
     )
 
 
