@@ -171,10 +171,13 @@ def paused(client, change):
     client.wait(lambda: client.describe()["state"] == "running" and time_of(client) > 0.1)
     change("paused", True)
     client.wait_for_state("paused")
-    time.sleep(0.2)  # the steps that are being done are done to their end
-    halted = time_of(client)
-    time.sleep(0.2)
-    assert time_of(client) == halted
+
+    def is_halted():
+        before = time_of(client)
+        time.sleep(0.2)
+        return time_of(client) == before
+
+    client.wait(is_halted)  # the steps that are being done are done to their end
 
 
 def real_time_factor(client, change):
