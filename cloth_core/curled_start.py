@@ -7,7 +7,6 @@ like paper about a pole and without any strain, the sides lie between the arm an
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,9 +15,10 @@ from numpy.typing import NDArray
 
 from cloth_core.blocked_lines import BlockedLines, seam_lines
 from cloth_core.body import Body
-from cloth_core.garment import Garment, Seam
+from cloth_core.garment import Garment
 from cloth_core.intersections import crossing_edges
 from cloth_core.placement import crosses_more
+from cloth_core.sewn_pairs import SewnPair, sewn_pairs
 
 __all__ = ["curled_inside_limbs"]
 
@@ -51,33 +51,21 @@ def curled_inside_limbs(garment: Garment, body: Body) -> Garment:
     crosses then than before, or if that shuts out what lies inside of the panels.
     """
     counter = BlockedLines(body, _MOST_TESTS)
-    for pair in _pairs(garment):
+    for pair in sewn_pairs(garment):
+        if not _faces_away(garment, pair):
+            continue
         for side in (1.0, -1.0):
             garment = _curled(garment, body, pair, side, counter)
     return garment
 
 
-class _Pair(NamedTuple):
-    """Two upright panels that face away from each other and are sewn to each other along several seams."""
-
-    first: int
-    second: int
-    seams: list[Seam]
+def _faces_away(garment: Garment, pair: SewnPair) -> bool:
+    """Whether two panels stand upright and face away from each other."""
+    normals = garment.panel_normals[[pair.first, pair.second]]
+    return bool(normals[0] @ normals[1] < 0.0 and (np.abs(normals[:, 2]) < _UPRIGHT).all())
 
 
-def _pairs(garment: Garment) -> Iterator[_Pair]:
-    found: dict[tuple[int, int], list[Seam]] = {}
-    for seam in garment.seams:
-        one, other = sorted(int(garment.panel_of_particle[side[0]]) for side in (seam.first, seam.second))
-        if one != other:
-            found.setdefault((one, other), []).append(seam)
-    for (one, other), seams in found.items():
-        normals = garment.panel_normals[[one, other]]
-        if len(seams) > 1 and normals[0] @ normals[1] < 0.0 and (np.abs(normals[:, 2]) < _UPRIGHT).all():
-            yield _Pair(one, other, seams)
-
-
-def _curled(garment: Garment, body: Body, pair: _Pair, side: float, counter: BlockedLines) -> Garment:
+def _curled(garment: Garment, body: Body, pair: SewnPair, side: float, counter: BlockedLines) -> Garment:
     """The garment with one side of a pair of panels curled, if that is of use."""
     x = garment.start
     one, other = garment.panel_of_particle == pair.first, garment.panel_of_particle == pair.second

@@ -16,6 +16,7 @@ from cloth_core.blocked_lines import BlockedLines, seam_lines
 from cloth_core.body import Body
 from cloth_core.garment import Garment, Seam
 from cloth_core.placement import crosses_more
+from cloth_core.sewn_pairs import sewn_pairs
 
 __all__ = ["with_room_for_limbs"]
 
@@ -30,6 +31,10 @@ _MOST_TESTS = 2_000_000
 _LEAST_LENGTH, _LEAST_BLOCKED = 0.15, 0.6
 # Farthest way of a pair of panels, and the step in which it is tried [m].
 _FARTHEST, _STEP = 0.12, 0.01
+# Directions in which something would cross, after which the best way so far is taken; each takes some 20 ms to find.
+_MOST_BARRED = 40
+# Cosine of the angle from which on two directions are the same.
+_SAME = 0.98
 
 
 def with_room_for_limbs(garment: Garment, body: Body) -> Garment:
@@ -37,26 +42,31 @@ def with_room_for_limbs(garment: Garment, body: Body) -> Garment:
 
     Both move together, across the way between them, by 12 cm at most: to where the fewest lines of their seams pass
     through the body, but not fewer of those between their insides than at first, so that the limb gets between the
-    panels and not beside them. Nothing moves if then more crosses at the start than before.
+    panels and not beside them. No more crosses there than before.
     """
     counter = BlockedLines(body, _MOST_TESTS)
-    for (first, second), seams in _pairs(garment):
+    for first, second, seams in sewn_pairs(garment):
         if max(_blocked_share(garment, seam, counter) for seam in seams) < _LEAST_BLOCKED:
             continue
         one, other = garment.panel_of_particle == first, garment.panel_of_particle == second
         across = garment.start[other].mean(axis=0) - garment.start[one].mean(axis=0)
         if np.linalg.norm(across) < _STEP:
             continue
-        way = _freest_way(garment, one, other, across, counter)
+        way = _freest_way(garment, one, other, across, body, counter)
         if way.any():
-            garment = _moved(garment, one | other, way, body)
+            garment = replace(garment, start=garment.start + np.outer(one | other, way))
         if counter.spent:
             break
     return garment
 
 
-def _freest_way(garment: Garment, one: Bools, other: Bools, across: Floats, counter: BlockedLines) -> Floats:
-    """The shortest way [m], (3,), of a pair of panels to where the fewest lines of their seams are blocked."""
+def _freest_way(
+    garment: Garment, one: Bools, other: Bools, across: Floats, body: Body, counter: BlockedLines
+) -> Floats:
+    """The shortest way [m], (3,), of a pair of panels to where the fewest lines of their seams are blocked.
+
+    Ways to where more would cross than before are left out, and those that go farther in the same direction.
+    """
     own = one | other
     lines = seam_lines([s for s in garment.seams if own[s.first].any() or own[s.second].any()])
     inside = np.flatnonzero(one)[:: max(1, int(one.sum()) // _INSIDE)]
@@ -70,12 +80,19 @@ def _freest_way(garment: Garment, one: Bools, other: Bools, across: Floats, coun
 
     best = np.zeros(3)
     fewest, kept = counter.count(garment.start, lines), within(best)
+    barred: list[Floats] = []
     for way in _ways(across):
-        if fewest == 0:
+        if fewest == 0 or len(barred) == _MOST_BARRED:
             break
-        of_seams = counter.count(garment.start + np.outer(own, way), lines, enough=fewest)
+        if any(way @ bar > _SAME * np.linalg.norm(way) * np.linalg.norm(bar) for bar in barred):
+            continue
+        start = garment.start + np.outer(own, way)
+        of_seams = counter.count(start, lines, enough=fewest)
         if of_seams < fewest and within(way, enough=kept) >= kept:
-            best, fewest = way, of_seams
+            if crosses_more(garment, start, body):
+                barred.append(way)
+            else:
+                best, fewest = way, of_seams
         if counter.spent:
             # Where so much is in the way it is no limb; half a search would find half a way.
             return np.zeros(3)
@@ -99,18 +116,3 @@ def _blocked_share(garment: Garment, seam: Seam, counter: BlockedLines) -> float
         return 0.0
     lines = seam_lines([seam])
     return counter.count(garment.start, lines) / max(len(lines), 1)
-
-
-def _pairs(garment: Garment) -> list[tuple[tuple[int, int], list[Seam]]]:
-    """Pairs of panels with the seams between them, where there are several."""
-    found: dict[tuple[int, int], list[Seam]] = {}
-    for seam in garment.seams:
-        one, other = sorted(int(garment.panel_of_particle[side[0]]) for side in (seam.first, seam.second))
-        if one != other:
-            found.setdefault((one, other), []).append(seam)
-    return [(pair, seams) for pair, seams in found.items() if len(seams) > 1]
-
-
-def _moved(garment: Garment, own: Bools, way: Floats, body: Body) -> Garment:
-    start = garment.start + np.outer(own, way)
-    return garment if crosses_more(garment, start, body) else replace(garment, start=start)

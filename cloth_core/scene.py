@@ -11,20 +11,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_core.approach import brought_near
 from cloth_core.body import Body
 from cloth_core.calibration import Cloth
 from cloth_core.crossed_start import crossed_start_warnings
-from cloth_core.curled_start import curled_inside_limbs
 from cloth_core.errors import SceneError
 from cloth_core.fabric import Fabric
+from cloth_core.fitting_height import fitting_lift, lifted
 from cloth_core.garment import Garment
-from cloth_core.layering import separate_panels
-from cloth_core.limb_room import with_room_for_limbs
 from cloth_core.pattern import Pattern
 from cloth_core.pattern_layers import layers_of
-from cloth_core.placement import below_body_warnings, clear_of_body
+from cloth_core.placement import below_body_warnings
 from cloth_core.quality import Settings, settings_for, with_expected_error
+from cloth_core.start_around_body import started_around
 from cloth_core.switched_off import check_without
 
 __all__ = ["Scene"]
@@ -32,8 +30,6 @@ __all__ = ["Scene"]
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # How far each particle of a disturbed start is from its place [m].
 _DISTURBANCE = 1e-4
-# Between panels that had to be moved apart at the start [m].
-_PANEL_GAP = 0.01
 # Farthest coordinate [m]: double precision has steps of 2 nm there.
 _FARTHEST = 1e7
 
@@ -52,6 +48,7 @@ class Scene:
         settings: spacing, time step, contact, rest.
         without: names of terms that are switched off by hand; a report says what the run lacks for want of them.
         worn: the patterns that it was built from, if any, innermost first.
+        lifts: how far each of them starts above where the pattern puts it [m].
         seed: with which the start was disturbed (`disturbed`); 0 if it was not.
         warnings: one line each.
     """
@@ -65,6 +62,7 @@ class Scene:
     settings: Settings = field(default_factory=Settings)
     without: tuple[str, ...] = ()
     worn: tuple[Pattern, ...] = ()
+    lifts: tuple[float, ...] = ()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -109,6 +107,7 @@ class Scene:
         air_drag: float = 1.0,
         pins: Sequence[int] = (),
         without: Sequence[str] = (),
+        lifts: Sequence[float] | None = None,
     ) -> Scene:
         """Discretise patterns and put them around a body.
 
@@ -123,6 +122,8 @@ class Scene:
             air_drag: k_a [1/s].
             pins: particles that are held, unsewn numbering.
             without: names of terms to switch off.
+            lifts: how far each garment starts above where its pattern puts it [m], the innermost first; if none are
+                given, as far as is needed to sew it around the body, and not at all with pins or without a body.
 
         Raises:
             ClothError: anything that does not fit together.
@@ -139,14 +140,11 @@ class Scene:
         layers = [k for k, g in enumerate(garments) for _ in g.panel_names]
         if body is not None:
             _check_scale(garment, body)
+            if lifts is None:
+                lifts = [0.0 if len(pins) else fitting_lift(p, body, chosen.contact_offset) for p in worn]
+            garment = lifted(garment, layers, worn, lifts, body)
             garment = replace(garment, warnings=garment.warnings + below_body_warnings(garment, body))
-            garment = clear_of_body(garment, body, chosen.contact_offset)
-        apart = separate_panels(garment, layers, _PANEL_GAP)
-        if body is not None and apart is not garment:
-            apart = clear_of_body(apart, body, chosen.contact_offset)
-        garment = apart
-        if body is not None:
-            garment = with_room_for_limbs(curled_inside_limbs(brought_near(apart, body), body), body)
+        garment = started_around(garment, layers, body, chosen.contact_offset)
         return cls(
             garment=garment,
             fabric=fabric,
@@ -157,6 +155,7 @@ class Scene:
             settings=chosen,
             without=tuple(without),
             worn=tuple(worn),
+            lifts=tuple(lifts or [0.0] * len(worn)),
         )
 
     def with_spacing(self, spacing: float) -> Scene:
@@ -167,7 +166,7 @@ class Scene:
         """
         scene = Scene.build(
             self.worn, self.body, self.fabric, settings=replace(self.settings, spacing=spacing),
-            gravity=-self.gravity[2], air_drag=self.air_drag, without=self.without,
+            gravity=-self.gravity[2], air_drag=self.air_drag, without=self.without, lifts=self.lifts,
         )  # fmt: skip
         return scene.disturbed(self.seed)
 

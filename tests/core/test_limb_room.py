@@ -86,6 +86,23 @@ def test_search_that_takes_too_many_tests_moves_nothing(monkeypatch):
     assert counter.spent
 
 
+def test_where_cloth_is_in_the_way_it_goes_past_it():
+    """The shortest way, straight down, leads through a shelf of cloth below one end of the sleeve."""
+    panels = {
+        "front": rectangle(0.3, 0.2, at=(0, 1.085, 0.08)),
+        "back": rectangle(0.3, 0.2, at=(0, 1.085, -0.08), turned=(0, 180, 0)),
+        "shelf": rectangle(0.1, 0.4, at=(-0.15, 0.957, 0), turned=(90, 0, 0)),
+    }
+    garment = Garment.from_pattern(pattern(panels, LONG_SIDES), 0.03)
+    moved = with_room_for_limbs(garment, ARM)
+    sewn = garment.panel_of_particle < 2
+    np.testing.assert_array_equal(moved.start[~sewn], garment.start[~sewn])
+    assert moved.start[sewn, 2].min() < 0.961
+    assert moved.start[sewn, 0].min() > -0.1
+    alone = Garment.from_pattern(sleeve(0.985), 0.03)
+    assert (with_room_for_limbs(alone, ARM).start - alone.start)[0] == pytest.approx([0.0, 0.0, -0.03], abs=1e-9)
+
+
 def test_what_is_free_stays_where_the_pattern_puts_it():
     garment = Garment.from_pattern(sleeve(0.9), 0.03)
     assert with_room_for_limbs(garment, ARM) is garment

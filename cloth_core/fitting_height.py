@@ -1,0 +1,203 @@
+"""How far a garment is lifted or lowered at the start where its pattern was placed for a taller or a shorter body.
+
+Seams pull in straight lines. Those of a shoulder that starts below the body's own pass through the body and cannot
+close, and a sleeve that starts above the arm ends up beside it. Nothing that starts too low comes up by itself; what
+starts a little too high comes down when it is sewn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_core.blocked_lines import BlockedLines, seam_lines
+from cloth_core.body import Body
+from cloth_core.errors import SceneError
+from cloth_core.garment import Garment, Seam
+from cloth_core.pattern import Pattern
+from cloth_core.sewn_pairs import sewn_pairs
+from cloth_core.start_around_body import started_around
+
+__all__ = ["fitting_lift", "lifted"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+# The pattern is looked at with particles so far apart [m], or with so many along a square of its area: it starts
+# equally high then however fine the run is.
+_SPACING, _ACROSS_AREA = 0.03, 30
+# Lifts that are tried, as shares of the body's height; down every other one, of which so many are looked at closely.
+_FARTHEST, _STEP, _CLOSELY = 0.24, 0.015, 4
+# A seam lies across if it rises less than its length times this: a shoulder, the upper side of a sleeve.
+_ACROSS = 0.7
+# Lines between the insides of two panels that are looked at; of what lies between at least this share has to stay.
+_INSIDE, _KEPT = 96, 0.7
+# A line of a seam that passes through the body counts as much as so many lines between insides that do not.
+_WEIGHT = 2.0
+# A garment is lowered only if at least so much of a seam passes through the body where it is, or if so many times as
+# much of the body lies between the panels further down; and only if that gets better by this share. Of shifts that
+# bring nearly as much as the best, by this share, the shortest is taken.
+_SEAM_BLOCKED, _FAR_OFF, _GAIN, _NEARLY = 0.25, 1.5, 0.08, 0.9
+# Seams with fewer lines are not looked at by themselves.
+_FEWEST_LINES = 4
+
+
+def fitting_lift(pattern: Pattern, body: Body, gap: float) -> float:
+    """How far a garment has to be lifted for the seams across its top to close over the body [m]; 0 if it can be sewn.
+
+    Negative where it has to be lowered, so that more of the body lies in it. A garment that has no such seams, as a
+    skirt or a single sheet, stays where its pattern puts it.
+
+    Args:
+        pattern: one garment.
+        body: what it is worn by.
+        gap: between both at the start [m].
+
+    Raises:
+        ClothError: a panel cannot be meshed.
+    """
+    spacing = min(_SPACING, math.sqrt(pattern.area) / _ACROSS_AREA)
+    return _Fitting(Garment.from_pattern(pattern, spacing), body, gap).lift()
+
+
+def lifted(
+    garment: Garment, layers: Sequence[int], worn: Sequence[Pattern], lifts: Sequence[float], body: Body
+) -> Garment:
+    """A garment with each of its layers moved upwards, and a line of warning for each that is.
+
+    Args:
+        garment: as the patterns put it.
+        layers: for each panel the number of the layer that it belongs to.
+        worn: pattern of each layer.
+        lifts: of each layer [m].
+        body: that it is moved for.
+
+    Raises:
+        SceneError: there is not one finite lift for each layer.
+    """
+    if len(lifts) != len(worn) or not np.isfinite(lifts).all():
+        raise SceneError(f"lifts: {list(lifts)!r} are not {len(worn)} finite numbers; give one for each garment in m")
+    start, warnings = garment.start.copy(), list(garment.warnings)
+    start[:, 2] += np.asarray(lifts, dtype=float)[np.asarray(layers)[garment.panel_of_particle]]
+    for pattern, lift in zip(worn, lifts, strict=True):
+        if lift != 0.0:
+            what, way = ("low", "up") if lift > 0.0 else ("high", "down")
+            distance = f"{1000.0 * abs(lift):.0f} mm {way}"
+            warnings.append(f"garment '{pattern.name}': starts too {what} for body '{body.name}'; moved {distance}")
+    return replace(garment, start=start, warnings=tuple(warnings))
+
+
+class _Fitting:
+    """The search for one garment."""
+
+    def __init__(self, garment: Garment, body: Body, gap: float) -> None:
+        self._garment = garment
+        self._body = body
+        self._gap = gap
+        self._counter = BlockedLines(body)
+        self._top = seam_lines([seam for seam in garment.seams if _is_across_the_top(garment, seam)])
+        self._inside = _inside(garment)
+
+    def lift(self) -> float:
+        """How far upwards the garment fits [m]; 0 for where it is."""
+        if len(self._top) == 0:
+            return 0.0
+        ways = _STEP * np.ptp(self._body.vertices[:, 2]) * np.arange(1, round(_FARTHEST / _STEP) + 1)
+        if self._top_blocked(0.0):
+            return self._freed([*ways.tolist(), *(-ways).tolist()])
+        return self._lowered((-ways[1::2]).tolist())
+
+    def _freed(self, shifts: Sequence[float]) -> float:
+        """To where the seams across the top are free: upwards over the shoulders, or downwards below the head."""
+        least = _KEPT * self._between(0.0)
+        lines = seam_lines(list(self._garment.seams))
+        worth = {
+            s: between - _WEIGHT * self._counter.count(_shifted(self._garment.start, s), lines)
+            for s in shifts
+            if not self._top_blocked(s) and (between := self._between(s)) >= least
+        }
+        if not worth:
+            return 0.0
+        enough = max(worth.values()) - (1.0 - _NEARLY) * self._between(0.0)
+        return min((s for s in worth if worth[s] >= enough), key=abs)
+
+    def _lowered(self, shifts: Sequence[float]) -> float:
+        """Down to where more of the body lies between the panels."""
+        here = self._between(0.0)
+        between = {s: self._between(s) for s in shifts if not self._top_blocked(s)}
+        better = sorted(
+            (s for s in between if between[s] > (1.0 + 0.5 * _GAIN) * here), key=lambda s: (-between[s], -s)
+        )
+        is_far_off = bool(better) and between[better[0]] > _FAR_OFF * here
+        if not better or not (is_far_off or self._worst_seam(self._garment) >= _SEAM_BLOCKED):
+            return 0.0
+        start = self._started(0.0)
+        if start is not None and not is_far_off and self._worst_seam(start) < _SEAM_BLOCKED:
+            return 0.0
+        worth = {s: between[s] - _WEIGHT * self._blocked(s) for s in better[:_CLOSELY]}
+        least = here - _WEIGHT * self._blocked(0.0)
+        gain = max(worth.values()) - least
+        if gain < max(_GAIN * here, 1.0):
+            return 0.0
+        return max(s for s in worth if worth[s] >= least + _NEARLY * gain)
+
+    def _top_blocked(self, shift: float) -> int:
+        """Lines of the seams across the top that pass through the body."""
+        return self._counter.count(_shifted(self._garment.start, shift), self._top)
+
+    def _between(self, shift: float) -> int:
+        """Lines between the insides of panels that pass through the body."""
+        rows = np.arange(len(self._inside), dtype=np.int32).reshape(-1, 2)
+        return self._counter.count(_shifted(self._inside, shift), rows)
+
+    def _started(self, shift: float) -> Garment | None:
+        """As the garment starts when it is put there; None where it cannot."""
+        garment = replace(self._garment, start=_shifted(self._garment.start, shift))
+        try:
+            return started_around(garment, [0] * len(garment.panel_names), self._body, self._gap)
+        except SceneError:
+            return None
+
+    def _blocked(self, shift: float) -> float:
+        """Lines of seams that still pass through the body once the garment has been put there."""
+        garment = self._started(shift)
+        return np.inf if garment is None else self._counter.count(garment.start, seam_lines(list(garment.seams)))
+
+    def _worst_seam(self, garment: Garment) -> float:
+        """Largest share of a seam's lines that pass through the body."""
+        shares = [0.0]
+        for seam in garment.seams:
+            lines = seam_lines([seam])
+            if len(lines) >= _FEWEST_LINES:
+                shares.append(self._counter.count(garment.start, lines) / len(lines))
+        return max(shares)
+
+
+def _is_across_the_top(garment: Garment, seam: Seam) -> bool:
+    """Whether a seam joins two panels that face different ways, across and above the middle of its panel."""
+    one, other = (int(garment.panel_of_particle[side[0]]) for side in (seam.first, seam.second))
+    if one == other or garment.panel_normals[one] @ garment.panel_normals[other] > 0.0:
+        return False
+    x = garment.start[seam.first]
+    way = x[-1] - x[0]
+    middle = garment.start[garment.panel_of_particle == one].mean(axis=0)
+    return bool(abs(way[2]) < _ACROSS * np.linalg.norm(way) and x[:, 2].mean() > middle[2])
+
+
+def _inside(garment: Garment) -> Floats:
+    """Ends of lines from some points of a panel across to the one it is sewn to all around, (2 k, 3) [m]: two each."""
+    ends = [np.zeros((0, 2, 3))]
+    for pair in sewn_pairs(garment):
+        one, other = (np.flatnonzero(garment.panel_of_particle == k) for k in (pair.first, pair.second))
+        x = garment.start[one[:: max(1, len(one) // _INSIDE)]]
+        across = garment.start[other].mean(axis=0) - garment.start[one].mean(axis=0)
+        ends.append(np.stack([x, x + across], axis=1))
+    return np.concatenate(ends).reshape(-1, 3)
+
+
+def _shifted(x: Floats, shift: float) -> Floats:
+    return np.asarray(x + np.array([0.0, 0.0, shift]), dtype=np.float64)
