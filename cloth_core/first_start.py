@@ -66,7 +66,7 @@ def compile_steps() -> None:
         springs=find_runs(pairs, np.zeros((0, 2))), spring_damping_time=0.0,
         trellis=find_runs(fours, np.zeros((0, 1))), lines=find_runs(triples, np.zeros((0, 1))),
         twists=find_runs(fours, np.zeros((0, 1))), hinges=fours, hinge_weights=np.zeros((0, 4)),
-        hinge_stiffness=floats, bending_damping_time=0.0, seam=SeamPull(pairs, floats, floats, 0.0, 0.0),
+        hinge_stiffness=floats, bending_damping_time=0.0, seam=SeamPull(pairs, floats, floats, floats, 0.0, 0.0),
         strain_limit=no_strain_limit(),
     )  # fmt: skip
     settings = ContactSettings(

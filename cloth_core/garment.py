@@ -60,6 +60,7 @@ class Garment:
         merged_indices: for each particle the number of the one that it becomes once everything is sewn, (n,).
         spacing: lattice spacing asked for [m].
         warnings: one line each.
+        layer_of_panel: which garment each panel belongs to where several are worn, the innermost first; else empty.
     """
 
     name: str
@@ -79,6 +80,17 @@ class Garment:
     merged_indices: Ints
     spacing: float
     warnings: tuple[str, ...] = field(default=())
+    layer_of_panel: tuple[int, ...] = ()
+
+    @property
+    def layer_count(self) -> int:
+        """How many garments are worn one over the other."""
+        return 1 + max(self.layer_of_panel, default=0)
+
+    def layers_of(self, particles: Ints) -> Ints:
+        """The layer that each of some particles belongs to, 0 for the innermost."""
+        layers = np.asarray(self.layer_of_panel or [0] * len(self.panel_names), dtype=np.int32)
+        return np.asarray(layers[self.panel_of_particle[particles]])
 
     @property
     def areas(self) -> Floats:
@@ -175,6 +187,7 @@ class Garment:
             ),
             spacing=garments[0].spacing,
             warnings=tuple(w for g in garments for w in g.warnings),
+            layer_of_panel=tuple(k for k, g in enumerate(garments) for _ in g.panel_names),
             **shifted,
             **plain,
         )

@@ -7,7 +7,6 @@ where the two lie over each other. The inner panel stays, the outer one moves st
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -37,7 +36,7 @@ _TOUCHING = 1e-6
 _ROUNDS = 8
 
 
-def separate_panels(garment: Garment, garment_of_panel: Sequence[int], gap: float) -> Garment:
+def separate_panels(garment: Garment, gap: float) -> Garment:
     """Move panels outwards along their normals until none crosses another and outer garments are outside inner ones.
 
     A panel of a later garment ends at least `gap` [m] outside every panel of an earlier garment that faces the same way
@@ -46,13 +45,12 @@ def separate_panels(garment: Garment, garment_of_panel: Sequence[int], gap: floa
 
     Args:
         garment: at its start; garments that were joined, innermost first.
-        garment_of_panel: for each panel the number of its garment.
         gap: between panels that were moved [m].
 
     Returns:
         The garment, with a warning for each panel that was moved and for each that could not be, naming the panels.
     """
-    layers = np.asarray(garment_of_panel)
+    layers = np.asarray(garment.layer_of_panel or [0] * len(garment.panel_names))
     count = len(garment.panel_names)
     shift = np.zeros(count)
     reasons: dict[int, set[int]] = defaultdict(set)

@@ -317,4 +317,4 @@ class Model:
 _NO_BENDING = Bending(
     np.zeros((0, 3), dtype=np.int32), np.zeros(0), np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros(0)
 )
-_NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0)
+_NO_SEAMS = SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), np.zeros(0), 0.0, 0.0)

@@ -260,8 +260,9 @@ class Motion:
         if self.implicit is not None:
             return implicit_steps(*arguments, self.implicit)
         closing_time = self.scene.settings.closing_time
-        # Share of its start length to which a seam's pull lets it close by now.
-        openness = max(1.0 - (self.time - self.sewn_since) / closing_time, 0.0) if self.model.sewing else 0.0
+        layers = float(self.scene.garment.layer_count)
+        # Closing times until the seams of the outermost garment are closed.
+        openness = max(layers - (self.time - self.sewn_since) / closing_time, 0.0) if self.model.sewing else 0.0
         return run_steps(*arguments, openness, 1.0 / closing_time)
 
     def _rescale_impulses(self, step: float) -> None:

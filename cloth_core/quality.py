@@ -37,8 +37,9 @@ class Settings:
         contact_offset: distance at which cloth is held from the body's surface [m] (the trade's skin offset).
         cloth_offset: distance at which layers of cloth are held apart [m].
         push_speed: fastest way out for cloth that lies nearer than the offset [m/s].
-        closing_time: time within which the seams are drawn together [s].
-        sewing_time: after this time seams that are still farther open than merge_distance are given up [s].
+        closing_time: time within which the seams of one garment are drawn together [s]; of several one after the other.
+        sewing_time: after this time seams that are still farther open than merge_distance are given up [s]; for each
+            garment that is worn over another, the closing time is added.
         seam_tolerance: a seam narrower than this is closed [m].
         merge_distance: a seam that a tight garment holds open by less than this is closed by merging its points [m].
         rest_displacement, rest_window: at rest when no particle moves farther than this [m] within this time [s].

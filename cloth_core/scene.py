@@ -137,14 +137,13 @@ class Scene:
         chosen = settings_for(quality, tolerance, cloth) if settings is None else with_expected_error(settings, cloth)
         garments = [Garment.from_pattern(p, chosen.spacing) for p in worn]
         garment = Garment.joined(garments)
-        layers = [k for k, g in enumerate(garments) for _ in g.panel_names]
         if body is not None:
             _check_scale(garment, body)
             if lifts is None:
                 lifts = [0.0 if len(pins) else fitting_lift(p, body, chosen.contact_offset) for p in worn]
-            garment = lifted(garment, layers, worn, lifts, body)
+            garment = lifted(garment, worn, lifts, body)
             garment = replace(garment, warnings=garment.warnings + below_body_warnings(garment, body))
-        garment = started_around(garment, layers, body, chosen.contact_offset)
+        garment = started_around(garment, body, chosen.contact_offset)
         return cls(
             garment=garment,
             fabric=fabric,
@@ -157,6 +156,16 @@ class Scene:
             worn=tuple(worn),
             lifts=tuple(lifts or [0.0] * len(worn)),
         )
+
+    @property
+    def closing_time(self) -> float:
+        """Time within which the seams of all garments are drawn together, one garment after the other [s]."""
+        return self.garment.layer_count * self.settings.closing_time
+
+    @property
+    def sewing_time(self) -> float:
+        """After this time seams that are still open are given up [s]."""
+        return self.closing_time - self.settings.closing_time + self.settings.sewing_time
 
     def with_spacing(self, spacing: float) -> Scene:
         """The same scene at another particle spacing [m]; only for one that was built from patterns, without pins.

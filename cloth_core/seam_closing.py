@@ -80,7 +80,7 @@ class SeamClosing:
             sewn_for: how long the seams have been pulled [s].
         """
         settings = scene.settings
-        if sewn_for < settings.closing_time or time < self._next_look:
+        if sewn_for < scene.closing_time or time < self._next_look:
             return None
         self._next_look = time + _INTERVAL
         gaps = seam_gaps(scene.garment, x)
@@ -88,7 +88,7 @@ class SeamClosing:
         self._widest_gap = widest
         if model.contact is not None and model.contact.cloth is not None:
             model.contact.cloth.gaps_may_leave = widest >= _STALLED * before
-        late = sewn_for >= settings.sewing_time or self._given_up(scene, x, time)
+        late = sewn_for >= scene.sewing_time or self._given_up(scene, x, time)
         if not late and widest > settings.seam_tolerance and widest < _STALLED * before:
             return None
         # A tight garment or cloth in between holds the last millimetres open; merging the points closes them.

@@ -3,6 +3,9 @@
 Each pair of seam points is joined by a spring whose length shrinks from the start distance to nothing within the
 closing time; its force is limited, so that a seam that the body holds open pulls without tearing. When a seam has
 closed, its pairs become one particle each.
+
+Of several garments each is closed before the next one is pulled together over it. Otherwise the sides of a shirt that
+are still flat stick out between those of the skirt that closes around them.
 """
 
 from __future__ import annotations
@@ -33,12 +36,14 @@ class SeamPull(NamedTuple):
         pairs: particles to join, (p, 2).
         start_length: their distance at the start [m], (p,).
         damping: [N s/m], (p,).
+        sooner: how many closing times before the last they close, (p,).
         stiffness: [N/m]; largest_force: [N].
     """
 
     pairs: Ints
     start_length: Floats
     damping: Floats
+    sooner: Floats
     stiffness: float
     largest_force: float
 
@@ -65,6 +70,7 @@ def build_seam_pull(
         pairs=pairs,
         start_length=np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1),
         damping=2.0 * _DAMPING_RATIO * np.sqrt(stiffness * reduced),
+        sooner=(garment.layer_count - 1 - garment.layers_of(pairs[:, 0])).astype(np.float64),
         stiffness=stiffness,
         largest_force=max(fabric.strain_limit, 0.05) * structural * garment.spacing,
     )
@@ -78,12 +84,17 @@ def renumbered_pull(pull: SeamPull, number: Ints) -> SeamPull:
         pairs=np.ascontiguousarray(pairs[apart], dtype=np.int32),
         start_length=pull.start_length[apart],
         damping=pull.damping[apart],
+        sooner=pull.sooner[apart],
     )
 
 
 @borrowing_kernel
 def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Floats) -> None:
-    """Pull both ends of each pair to openness * start_length; x, v, force (3, n) [m, m/s, N]."""
+    """Pull both ends of each pair together; x, v, force (3, n) [m, m/s, N].
+
+    Openness, in closing times, is what is left until the last pairs are closed, and below 1 the share of their start
+    length that is still open; of those that close sooner it is so much less.
+    """
     for s in range(seam.pairs.shape[0]):
         i, j = seam.pairs[s, 0], seam.pairs[s, 1]
         dx = x[0, j] - x[0, i]
@@ -94,8 +105,9 @@ def seam_forces(x: Floats, v: Floats, seam: SeamPull, openness: float, force: Fl
         uz = v[2, j] - v[2, i]
         length = np.sqrt(dx * dx + dy * dy + dz * dz)
         share = seam.stiffness
-        if openness > 0.0:
-            excess = length - openness * seam.start_length[s]
+        still_open = min(openness - seam.sooner[s], 1.0)
+        if still_open > 0.0:
+            excess = length - still_open * seam.start_length[s]
             share = seam.stiffness * max(excess, 0.0) / length if length > 0.0 else 0.0
         pull = share * length
         if pull > seam.largest_force:

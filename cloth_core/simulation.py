@@ -364,7 +364,7 @@ class Simulation:
             raise
         self._rest.calm(motion)
         sewn_for = motion.time - motion.sewn_since
-        if motion.model.softness < 1.0 and sewn_for > self.scene.settings.closing_time:
+        if motion.model.softness < 1.0 and sewn_for > self.scene.closing_time:
             self._stiffen()
         if self.phase == SEWING:
             self._sew(sewn_for)

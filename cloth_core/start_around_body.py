@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from cloth_core.approach import brought_near
 from cloth_core.body import Body
 from cloth_core.curled_start import curled_inside_limbs
@@ -18,12 +16,11 @@ __all__ = ["started_around"]
 _PANEL_GAP = 0.01
 
 
-def started_around(garment: Garment, layers: Sequence[int], body: Body | None, gap: float) -> Garment:
+def started_around(garment: Garment, body: Body | None, gap: float) -> Garment:
     """A garment with its panels where they can be sewn around the body.
 
     Args:
         garment: as the pattern puts it.
-        layers: for each panel the number of the layer that it belongs to, the innermost first.
         body: what it is worn by; without one panels are only kept from each other.
         gap: to the body [m].
 
@@ -31,9 +28,9 @@ def started_around(garment: Garment, layers: Sequence[int], body: Body | None, g
         SceneError: a panel cannot be put clear of the body.
     """
     if body is None:
-        return separate_panels(garment, layers, _PANEL_GAP)
+        return separate_panels(garment, _PANEL_GAP)
     garment = clear_of_body(garment, body, gap)
-    apart = separate_panels(garment, layers, _PANEL_GAP)
+    apart = separate_panels(garment, _PANEL_GAP)
     if apart is not garment:
         apart = clear_of_body(apart, body, gap)
     return with_room_for_limbs(curled_inside_limbs(brought_near(apart, body), body), body)

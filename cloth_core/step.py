@@ -138,7 +138,8 @@ def run_steps(
 ) -> int:
     """Up to `count` steps of dt [s], in place; the number done, fewer when contacts must be searched anew.
 
-    x, v (n, 3) [m, m/s]; moved (n,) scratch; openness falls by openness_rate * dt each step, not below 0.
+    x, v (n, 3) [m, m/s]; moved (n,) scratch; openness as for `seam_forces`, falls by openness_rate * dt
+    each step, not below 0.
     """
     by_axis(x, work.x)
     by_axis(v, work.v)

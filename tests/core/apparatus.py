@@ -223,7 +223,7 @@ def force_terms(mass: ArrayLike, **given: Any) -> ForceTerms:
         "hinge_weights": np.zeros((0, 4)),
         "hinge_stiffness": np.zeros(0),
         "bending_damping_time": 0.0,
-        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), 0.0, 0.0),
+        "seam": SeamPull(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0), np.zeros(0), 0.0, 0.0),
         "strain_limit": no_strain_limit(),
     }  # fmt: skip
     for key, value in given.items():

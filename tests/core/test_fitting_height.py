@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from cloth_core import fitting_height
 from cloth_core.body import Body
 from cloth_core.errors import SceneError
 from cloth_core.fitting_height import fitting_lift
@@ -101,6 +102,11 @@ def test_nothing_is_moved_that_is_pinned_or_has_no_body():
     pattern = placed("tshirt", -0.1)
     assert Scene.build(pattern, quality="draft").lifts == (0.0,)
     assert Scene.build(pattern, Body.load("young"), quality="draft", pins=[0]).lifts == (0.0,)
+
+
+def test_a_search_that_takes_too_many_tests_moves_nothing(monkeypatch):
+    monkeypatch.setattr(fitting_height, "_MOST_TESTS", 100)
+    assert fitting_lift(placed("tshirt", -0.2), Body.load("young"), GAP) == 0.0
 
 
 @pytest.mark.parametrize("lifts", [[], [0.1, 0.1], [float("nan")], [float("inf")]])

@@ -34,10 +34,6 @@ def panels_cross(of: Garment) -> bool:
     return any(sides_through(of.start, a, of.start, b) > 0 for a in parts for b in parts if a is not b)
 
 
-def layers_of(*garments: Garment) -> list[int]:
-    return [k for k, g in enumerate(garments) for _ in g.panel_names]
-
-
 # ---- one garment
 
 
@@ -47,7 +43,7 @@ def test_panels_that_cross_are_moved_apart_and_named():
         {"front": rectangle(0.4, 0.5, at=(0, 1, 0.3)), "pocket": rectangle(0.3, 0.2, at=(0, 1, 0.3), turned=(0, 20, 0))}
     )
     assert panels_cross(crossed)
-    apart = separate_panels(crossed, [0, 0], GAP)
+    apart = separate_panels(crossed, GAP)
     assert not panels_cross(apart)
     assert len(apart.warnings) == 1
     assert "front" in apart.warnings[0]
@@ -64,7 +60,7 @@ def test_panels_that_cross_are_moved_apart_and_named():
 
 def test_panels_that_lie_on_each_other_are_moved_apart():
     flat = {"lower": rectangle(0.4, 0.4, at=(0, 1, 0.3)), "upper": rectangle(0.3, 0.3, at=(0.2, 1, 0.3))}
-    apart = separate_panels(garment(flat), [0, 0], GAP)
+    apart = separate_panels(garment(flat), GAP)
     distance = abs(of_panel(apart, "upper")[0, 1] - of_panel(apart, "lower")[0, 1])
     assert distance == pytest.approx(GAP)
     assert "moved 10 mm outwards" in apart.warnings[0]
@@ -77,7 +73,7 @@ def side_by_side(distance: float = 0.0) -> dict:
 
 def test_panels_side_by_side_stay_where_they_are():
     for given in (garment(side_by_side(), [(("left", 1), ("right", 3))]), garment(side_by_side(1e-4))):
-        assert separate_panels(given, [0, 0], GAP) is given
+        assert separate_panels(given, GAP) is given
 
 
 def test_panels_that_touch_and_are_not_sewn_are_moved_apart_and_free_to_fall():
@@ -98,14 +94,14 @@ def test_seam_that_starts_with_a_small_overlap_is_no_crossing():
         "right": rectangle(0.4, 0.4, at=(0.199, 1, 0.2999), turned=(0, 0.2, 0)),
     }
     given = garment(folded, [(("left", 1), ("right", 3))])
-    apart = separate_panels(given, [0, 0], GAP)
+    apart = separate_panels(given, GAP)
     assert np.abs(apart.start - given.start).max() < 0.02
 
 
 def test_panels_that_cannot_be_moved_apart_are_named_and_left():
     cross = {"one": rectangle(5, 5, at=(0, 1, 0)), "other": rectangle(5, 5, at=(0, 1, 0), turned=(0, 90, 0))}
     given = garment(cross, spacing=0.5)
-    apart = separate_panels(given, [0, 0], GAP)
+    apart = separate_panels(given, GAP)
     np.testing.assert_array_equal(apart.start, given.start)
     assert len(apart.warnings) == 1
     assert "panel 'one': starts across panel 'other' and cannot be moved clear of it" in apart.warnings[0]
@@ -128,7 +124,7 @@ def test_outer_garment_that_starts_inside_the_inner_one_is_moved_outside():
     inner, outer = garment(tube(0.2), SIDES), garment(tube(0.15, at=1.3), SIDES)
     both = Garment.joined([replace(inner, name="inner"), replace(outer, name="outer")])
     assert not panels_cross(both)  # they are wrong all the same
-    apart = separate_panels(both, layers_of(inner, outer), GAP)
+    apart = separate_panels(both, GAP)
     np.testing.assert_array_equal(apart.start[: inner.particle_count], both.start[: inner.particle_count])
     assert of_panel(apart, "outer/front")[:, 1] == pytest.approx(-0.2 - GAP)
     assert of_panel(apart, "outer/back")[:, 1] == pytest.approx(0.2 + GAP)
@@ -141,7 +137,7 @@ def test_outer_garment_that_starts_inside_the_inner_one_is_moved_outside():
 def test_outer_garment_is_outside_a_slanting_one():
     inner, outer = garment(tube(0.2, turned=25), SIDES), garment(tube(0.18), SIDES)
     both = Garment.joined([replace(inner, name="inner"), replace(outer, name="outer")])
-    apart = separate_panels(both, layers_of(inner, outer), GAP)
+    apart = separate_panels(both, GAP)
     assert not panels_cross(apart)
     # The inner front reaches out to 0.2 + 0.25 sin 25 deg, where the outer one (cos 25 deg narrower there) covers it.
     reach = 0.2 + 0.25 * np.sin(np.radians(25))
@@ -151,7 +147,7 @@ def test_outer_garment_is_outside_a_slanting_one():
 def test_garments_that_do_not_cover_each_other_stay():
     inner, outer = garment(tube(0.2, at=0.5), SIDES), garment(tube(0.15, at=1.3), SIDES)
     both = Garment.joined([replace(inner, name="inner"), replace(outer, name="outer")])
-    assert separate_panels(both, layers_of(inner, outer), GAP) is both
+    assert separate_panels(both, GAP) is both
 
 
 BUILT_IN = [("trousers", "tshirt"), ("tshirt", "trousers"), ("tshirt", "tshirt"), ("dress", "tshirt")]
@@ -202,4 +198,4 @@ def test_panel_of_a_sleeve_is_moved_to_its_own_side_of_the_arm():
 def test_single_garments_are_left_as_their_patterns_place_them():
     for name in ("tshirt", "skirt", "trousers", "dress"):
         alone = Garment.from_pattern(Pattern.load(name), 0.03)
-        assert separate_panels(alone, [0] * len(alone.panel_names), GAP) is alone
+        assert separate_panels(alone, GAP) is alone

@@ -376,24 +376,40 @@ def test_garment_without_seams_does_not_sew():
     assert simulation.model.seam_pull is None
 
 
+def test_an_outer_garment_is_sewn_once_the_inner_one_is_closed():
+    scene = scene_of([tube(name="inner"), tube(width=0.5, apart=0.2, name="outer")])
+    once = scene.settings.closing_time
+    assert (scene.closing_time, scene.sewing_time) == (2.0 * once, once + scene.settings.sewing_time)
+    simulation = Simulation(scene)
+    while simulation.time < 0.98 * once:
+        simulation.tick()
+    now = gaps(simulation)
+    assert max(gap for name, gap in now.items() if name.startswith("inner")) < 0.005
+    assert min(gap for name, gap in now.items() if name.startswith("outer")) == pytest.approx(0.2, abs=0.005)
+    sewn(simulation)
+    assert simulation.time == pytest.approx(2.0 * once, abs=0.02)
+    assert max(gaps(simulation).values()) == 0.0
+
+
 # ---- the pull itself
 
 
-@pytest.mark.parametrize("openness", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("openness", [0.0, 0.5, 1.0, 1.25, 2.0])
 def test_pull_is_a_limited_spring_that_shortens(openness):
     rng = np.random.default_rng(9)
     x, v = rng.standard_normal((2, 8, 3))
     pairs = np.array([[0, 1], [2, 3], [4, 5], [6, 7]], dtype=np.int32)
     x[5] = x[4]  # closed already
     start = np.array([0.5, 2.0, 1.0, 0.1])
-    seam = SeamPull(pairs, start, damping=np.full(len(pairs), 0.2), stiffness=3.0, largest_force=2.5)
+    sooner = np.array([0.0, 1.0, 0.0, 1.0])
+    seam = SeamPull(pairs, start, np.full(len(pairs), 0.2), sooner, stiffness=3.0, largest_force=2.5)
     by_axes = np.zeros((3, len(x)))
     seam_forces(by_axis(x), by_axis(v), seam, openness, by_axes)
     force = by_axes.T
-    for (i, j), length0 in zip(pairs, start, strict=True):
+    for (i, j), length0 in zip(pairs, np.clip(openness - sooner, 0.0, 1.0) * start, strict=True):
         d = x[j] - x[i]
         length = float(np.linalg.norm(d))
-        pull = min(3.0 * max(length - openness * length0, 0.0), 2.5)
+        pull = min(3.0 * max(length - length0, 0.0), 2.5)
         expected = (pull * d / length if length > 0 else 0.0) + 0.2 * (v[j] - v[i])
         np.testing.assert_allclose(force[i], expected, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(force[j], -force[i], rtol=1e-12)
