@@ -32,8 +32,9 @@ Ints = NDArray[np.int32]
 _SPACING, _ACROSS_AREA = 0.03, 30
 # Lifts that are tried, as shares of the body's height; down every other one, of which so many are looked at closely.
 _FARTHEST, _STEP, _CLOSELY = 0.24, 0.015, 4
-# A seam lies across if it rises less than its length times this: a shoulder, the upper side of a sleeve.
-_ACROSS = 0.7
+# A seam lies across if it rises less than its length times this, and a panel that comes nearer to the garment's middle
+# than this share of the garment's width belongs to the trunk.
+_ACROSS, _MIDDLE = 0.7, 0.1
 # Lines between the insides of two panels that are looked at; of what lies between at least this share has to stay.
 _INSIDE, _KEPT = 96, 0.7
 # A line of a seam that passes through the body counts as much as so many lines between insides that do not.
@@ -184,14 +185,23 @@ class _Fitting:
 
 
 def _is_across_the_top(garment: Garment, seam: Seam) -> bool:
-    """Whether a seam joins two panels that face different ways, across and above the middle of its panel."""
+    """Whether a seam joins two panels that face different ways, across and in the upper half of a panel of the trunk.
+
+    Sleeves do not count: whether their seams are free depends on how the body holds its arms.
+    """
     one, other = (int(garment.panel_of_particle[side[0]]) for side in (seam.first, seam.second))
     if one == other or garment.panel_normals[one] @ garment.panel_normals[other] > 0.0:
         return False
     x = garment.start[seam.first]
     way = x[-1] - x[0]
-    middle = garment.start[garment.panel_of_particle == one].mean(axis=0)
-    return bool(abs(way[2]) < _ACROSS * np.linalg.norm(way) and x[:, 2].mean() > middle[2])
+    panel = garment.start[garment.panel_of_particle == one]
+    if abs(way[2]) >= _ACROSS * np.linalg.norm(way) or x[:, 2].mean() <= panel[:, 2].mean():
+        return False
+    sideways = np.cross([0.0, 0.0, 1.0], garment.panel_normals[one])
+    of_garment, of_panel = garment.start @ sideways, panel @ sideways
+    margin = _MIDDLE * float(np.ptp(of_garment))
+    middle = 0.5 * float(of_garment.min() + of_garment.max())
+    return bool(of_panel.min() <= middle + margin and of_panel.max() >= middle - margin)
 
 
 def _inside(garment: Garment) -> Floats:
