@@ -27,12 +27,18 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
-__all__ = ["LATCHED", "Client", "NodeProcess"]
+__all__ = ["LATCHED", "Client", "NodeProcess", "stop"]
 
 PATIENCE = 120.0
 """How long a test waits for what must happen, compilation included [s]."""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TYPES = {"garment": Marker, "body_marker": Marker, "report": String, "pattern": String, "body": Mesh}
+
+
+def stop(process: subprocess.Popen[Any]) -> None:
+    """Stops a process until it gets SIGCONT; it does nothing any more once this returns."""
+    process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
 
 
 class NodeProcess:

@@ -8,7 +8,7 @@ import time
 
 import pytest
 from clock import Clock
-from node_client import PATIENCE, Client, NodeProcess
+from node_client import PATIENCE, Client, NodeProcess, stop
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -109,7 +109,7 @@ def test_messages_in_quick_succession_all_arrive(publisher, tmp_path):
 def test_a_subscriber_that_is_stopped_does_not_stop_the_publisher(publisher, tmp_path):
     with open(tmp_path / "received.txt", "w") as output:
         (process,) = subscribers(publisher, 1, output)
-        process.send_signal(signal.SIGSTOP)
+        stop(process)
         paced = PacedPublisher(unlocked(publisher), publisher.departure)
         try:
             for number in range(50):

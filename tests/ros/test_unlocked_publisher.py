@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from node_client import PATIENCE
+from node_client import PATIENCE, stop
 from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -123,7 +123,7 @@ def test_another_process_receives_the_bytes_that_were_sent(outgoing, subscriber)
 
 def test_a_subscriber_that_is_stopped_has_not_received_and_once_it_runs_it_has(outgoing, subscriber):
     process, _ = subscriber
-    process.send_signal(signal.SIGSTOP)
+    stop(process)
     outgoing.publish(encode_string("x"))
     assert outgoing.wait_for_all_acked(Duration(seconds=0.2)) is False
     process.send_signal(signal.SIGCONT)
@@ -134,7 +134,7 @@ def test_another_thread_wakes_up_the_subscriber_that_is_waited_for(publisher, su
     """It could not while this one kept Python's lock: the time would run out first."""
     process, _ = subscriber
     outgoing = unlocked(publisher)
-    process.send_signal(signal.SIGSTOP)
+    stop(process)
     outgoing.publish(encode_string("x"))
     assert not outgoing.wait_for_all_acked(Duration())
     # The other thread comes to run only where this one lets it, which nothing but waiting does within the next minute.
