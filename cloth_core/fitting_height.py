@@ -69,14 +69,14 @@ def fitting_lift(pattern: Pattern, body: Body, gap: float) -> float:
     return 0.0 if fitting.spent else lift
 
 
-def lifted(garment: Garment, worn: Sequence[Pattern], lifts: Sequence[float], body: Body) -> Garment:
+def lifted(garment: Garment, worn: Sequence[Pattern], lifts: Sequence[float], body: Body | None) -> Garment:
     """A garment with each of its layers moved upwards, and a line of warning for each that is.
 
     Args:
         garment: as the patterns put it.
         worn: pattern of each layer.
         lifts: of each layer [m].
-        body: that it is moved for.
+        body: what it is worn by, if anything.
 
     Raises:
         SceneError: there is not one finite lift for each layer.
@@ -84,12 +84,12 @@ def lifted(garment: Garment, worn: Sequence[Pattern], lifts: Sequence[float], bo
     if len(lifts) != len(worn) or not np.isfinite(lifts).all():
         raise SceneError(f"lifts: {list(lifts)!r} are not {len(worn)} finite numbers; give one for each garment in m")
     start, warnings = garment.start.copy(), list(garment.warnings)
-    start[:, 2] += np.asarray(lifts, dtype=float)[garment.layers_of(np.arange(garment.particle_count, dtype=np.int32))]
+    start[:, 2] += np.asarray(lifts, dtype=float)[garment.layer_of_particle]
     for pattern, lift in zip(worn, lifts, strict=True):
         if lift != 0.0:
-            what, way = ("low", "up") if lift > 0.0 else ("high", "down")
-            distance = f"{1000.0 * abs(lift):.0f} mm {way}"
-            warnings.append(f"garment '{pattern.name}': starts too {what} for body '{body.name}'; moved {distance}")
+            where = f"{1000.0 * abs(lift):.0f} mm {'above' if lift > 0.0 else 'below'} where its pattern puts it"
+            fit = "" if body is None else f", to fit body '{body.name}'"
+            warnings.append(f"garment '{pattern.name}': starts {where}{fit}")
     return replace(garment, start=start, warnings=tuple(warnings))
 
 
@@ -145,12 +145,16 @@ class _Fitting:
         start = self._started(0.0)
         if start is not None and not is_far_off and self._worst_seam(start) < _SEAM_BLOCKED:
             return 0.0
-        worth = {s: between[s] - _WEIGHT * self._blocked(s) for s in better[:_CLOSELY]}
-        least = here - _WEIGHT * self._blocked(0.0)
-        gain = max(worth.values()) - least
+        started = {s: self._started(s) for s in better[:_CLOSELY]}
+        worth = {s: between[s] - _WEIGHT * self._blocked(g) for s, g in started.items() if g is not None}
+        if not worth:
+            return 0.0
+        best = max(worth.values())
+        # Where it cannot be put at all, any place is better.
+        gain = best - (here - _WEIGHT * self._blocked(start)) if start is not None else max(best, 1.0)
         if gain < max(_GAIN * here, 1.0):
             return 0.0
-        return max(s for s in worth if worth[s] >= least + _NEARLY * gain)
+        return max(s for s in worth if worth[s] >= best - (1.0 - _NEARLY) * gain)
 
     def _top_blocked(self, shift: float) -> int:
         """Lines of the seams across the top that pass through the body."""
@@ -169,10 +173,9 @@ class _Fitting:
         except SceneError:
             return None
 
-    def _blocked(self, shift: float) -> float:
-        """Lines of seams that still pass through the body once the garment has been put there."""
-        garment = self._started(shift)
-        return np.inf if garment is None else self._counter.count(garment.start, seam_lines(list(garment.seams)))
+    def _blocked(self, garment: Garment) -> int:
+        """Lines of seams that pass through the body."""
+        return self._counter.count(garment.start, seam_lines(list(garment.seams)))
 
     def _worst_seam(self, garment: Garment) -> float:
         """Largest share of a seam's lines that pass through the body."""

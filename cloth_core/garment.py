@@ -87,10 +87,11 @@ class Garment:
         """How many garments are worn one over the other."""
         return 1 + max(self.layer_of_panel, default=0)
 
-    def layers_of(self, particles: Ints) -> Ints:
-        """The layer that each of some particles belongs to, 0 for the innermost."""
+    @property
+    def layer_of_particle(self) -> Ints:
+        """The layer that each particle belongs to, 0 for the innermost, shape (n,)."""
         layers = np.asarray(self.layer_of_panel or [0] * len(self.panel_names), dtype=np.int32)
-        return np.asarray(layers[self.panel_of_particle[particles]])
+        return np.asarray(layers[self.panel_of_particle])
 
     @property
     def areas(self) -> Floats:

@@ -139,9 +139,10 @@ class Scene:
         garment = Garment.joined(garments)
         if body is not None:
             _check_scale(garment, body)
-            if lifts is None:
-                lifts = [0.0 if len(pins) else fitting_lift(p, body, chosen.contact_offset) for p in worn]
-            garment = lifted(garment, worn, lifts, body)
+        if lifts is None:
+            lifts = [0.0 if body is None or len(pins) else fitting_lift(p, body, chosen.contact_offset) for p in worn]
+        garment = lifted(garment, worn, lifts, body)
+        if body is not None:
             garment = replace(garment, warnings=garment.warnings + below_body_warnings(garment, body))
         garment = started_around(garment, body, chosen.contact_offset)
         return cls(
@@ -154,7 +155,7 @@ class Scene:
             settings=chosen,
             without=tuple(without),
             worn=tuple(worn),
-            lifts=tuple(lifts or [0.0] * len(worn)),
+            lifts=tuple(float(lift) for lift in lifts),
         )
 
     @property

@@ -5,7 +5,8 @@ closing time; its force is limited, so that a seam that the body holds open pull
 closed, its pairs become one particle each.
 
 Of several garments each is closed before the next one is pulled together over it. Otherwise the sides of a shirt that
-are still flat stick out between those of the skirt that closes around them.
+are still flat stick out between those of the skirt that closes around them. The implicit integrator, which pulls from
+the first step on with all its force, closes all at once.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def build_seam_pull(
         pairs=pairs,
         start_length=np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1),
         damping=2.0 * _DAMPING_RATIO * np.sqrt(stiffness * reduced),
-        sooner=(garment.layer_count - 1 - garment.layers_of(pairs[:, 0])).astype(np.float64),
+        sooner=(garment.layer_count - 1 - garment.layer_of_particle[pairs[:, 0]]).astype(np.float64),
         stiffness=stiffness,
         largest_force=max(fabric.strain_limit, 0.05) * structural * garment.spacing,
     )

@@ -15,6 +15,7 @@ from cloth_core.gate import frame_movement, judge
 from cloth_core.pattern import Pattern
 from cloth_core.scene import Scene
 from cloth_core.simulation import Simulation
+from cloth_core.start_around_body import started_around
 
 GAP = 0.003
 
@@ -75,10 +76,11 @@ def test_shoulders_are_clear_of_the_body():
     assert shoulders_through_body(low.garment, body) > 3
     assert shoulders_through_body(scene.garment, body) == 0
     assert scene.lifts[0] > 0.0
-    assert (
-        f"garment 'tshirt': starts too low for body 'young'; moved {1000 * scene.lifts[0]:.0f} mm up" in scene.warnings
+    line = (
+        f"garment 'tshirt': starts {1000 * scene.lifts[0]:.0f} mm above where its pattern puts it, to fit body 'young'"
     )
-    assert not any("too low" in line for line in low.warnings)
+    assert line in scene.warnings
+    assert not any("where its pattern puts it" in line for line in low.warnings)
 
 
 def test_it_starts_equally_high_at_any_spacing():
@@ -107,6 +109,33 @@ def test_nothing_is_moved_that_is_pinned_or_has_no_body():
 def test_a_search_that_takes_too_many_tests_moves_nothing(monkeypatch):
     monkeypatch.setattr(fitting_height, "_MOST_TESTS", 100)
     assert fitting_lift(placed("tshirt", -0.2), Body.load("young"), GAP) == 0.0
+
+
+@pytest.mark.parametrize("body", [None, "young"])
+def test_lifts_can_be_given(body):
+    worn = None if body is None else Body.load(body)
+    scene = Scene.build(Pattern.load("skirt"), worn, quality="draft", lifts=np.array([-0.05]))
+    plain = Scene.build(Pattern.load("skirt"), worn, quality="draft")
+    assert scene.lifts == (-0.05,)
+    assert (scene.garment.start - plain.garment.start)[:, 2] == pytest.approx(-0.05, abs=1e-9)
+    assert any("starts 50 mm below where its pattern puts it" in line for line in scene.warnings)
+
+
+@pytest.mark.parametrize("places", [0, 1])
+def test_where_it_cannot_be_put_is_no_place_for_it(monkeypatch, places):
+    """Nowhere but at the heights below, or nowhere at all."""
+    tried = []
+
+    def refuses(garment, body, gap):
+        tried.append(garment)
+        if len(tried) == 1 or places == 0:
+            raise SceneError("there is no room")
+        return started_around(garment, body, gap)
+
+    monkeypatch.setattr(fitting_height, "started_around", refuses)
+    lift = fitting_lift(placed("tshirt", 0.3), Body.load("young"), GAP)
+    assert len(tried) > 1
+    assert 0.3 + lift == pytest.approx(0.0 if places else 0.3, abs=0.06)
 
 
 @pytest.mark.parametrize("lifts", [[], [0.1, 0.1], [float("nan")], [float("inf")]])
